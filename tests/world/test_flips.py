@@ -15,8 +15,8 @@ from tiswarm.world.climb_kernels import (
     ClimbLimits,
     Obstacles,
     Site,
-    contact_angles,
     crossing_angles,
+    first_met,
 )
 from tiswarm.world.growth import grow
 from tiswarm.world.params import ClimbParams, TowerParams
@@ -65,15 +65,19 @@ def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle)
 
 
 @ti.kernel
-def _contact_angles(
-    limits: ClimbLimits, vectors: Reals2, gains: Reals2, least: F64, near: Reals3, angles: Reals2
-):
+def _first_met(
+    limits: ClimbLimits, body: Reals2, axis: Reals2, gains: Reals2, least: F64, near: Reals3,
+    angles: Reals2,
+):  # fmt: skip
     obstacles = ti.static(Obstacles(near, Site(None, is_flat=True, has_zones=False)))
     for way in range(1):
-        first = ti.Vector([limits.full_turn, limits.full_turn])
         aim = ti.Vector([gains[0, 0], gains[0, 1], least, limits.min_flip])
-        arm, axis, pivot = vector_at(vectors, 0), vector_at(vectors, 1), vector_at(vectors, 2)
-        first = contact_angles(limits, first, aim, arm, axis, pivot, obstacles, way, near.shape[1])
+        pivot = ti.Vector([0.0, 0.0, 100.0])
+        unturned = ti.Vector([1.0, 0.0, 0.0, 0.0])
+        first = first_met(
+            limits, body, unturned, 0, -1, vector_at(axis, 0), pivot, obstacles, way,
+            near.shape[1], aim,
+        )  # fmt: skip
         angles[0, 0], angles[0, 1] = first[0], first[1]
 
 
@@ -83,16 +87,22 @@ def _contact_angles(
     count=st.integers(1, 20),
     least=st.floats(-1.0, 1.0) | st.just(-np.inf),
     grazes=st.booleans(),
+    rests=st.booleans(),
+    second=st.booleans(),
 )
-def test_angles_of_flips_that_gain_enough_are_those_of_all_obstacles(seed, count, least, grazes):
-    """To compute few of the angles changes none of those that count, also where docks graze.
+def test_angles_of_flips_that_gain_enough_are_those_of_all_obstacles(
+    seed, count, least, grazes, rests, second
+):
+    """To compute few of the angles changes none of those that count, with one free dock and two.
 
-    Compilers may round the two kernels differently, which a grazing contact magnifies.
+    Also where docks graze or rest on others, and where two are met at once. Compilers may round
+    the two kernels differently, which a grazing contact magnifies.
     """
     rng = np.random.default_rng(seed)
     arm = np.array([2.6, 0.0, 0.0])
     axis = np.array([0.0, *rng.normal(size=2)])
     axis /= np.linalg.norm(axis)
+    arms = [arm, 2.6 * oracle.turned(arm / 2.6, axis, 0.8)] if second else [arm]
     place = rng.normal(size=(40, 3))
     place *= rng.uniform(2.0, 4.6, (40, 1)) / np.linalg.norm(place, axis=1)[:, None]
     if grazes:  # as near to the dock's circle as just touches it, or just does not
@@ -102,16 +112,21 @@ def test_angles_of_flips_that_gain_enough_are_those_of_all_obstacles(seed, count
         place[::3] = (
             2.6 * out + near * (np.cos(lean)[:, None] * out + np.sin(lean)[:, None] * axis)
         )[::3]
-    place = place[np.linalg.norm(place - arm, axis=1) > 2.0][:count]
+    if rests:
+        place[1] = arm + 2.0 * place[1] / np.linalg.norm(place[1])
+    place[4] = place[2]
+    distances = np.linalg.norm(place[:, None] - np.array(arms), axis=2)
+    place = place[(distances > 2.0 - 1e-12).all(axis=1)][:count]
+    body = np.array([np.zeros(3), *arms])
     gains, angles = rng.normal(size=(1, 2)), np.zeros((1, 2))
     limits = climb_limits(ClimbParams(), RobotGeometry(), Terrain(), by_belief=False)
-    pivot = np.array([0.0, 0.0, 100.0])
 
-    _contact_angles(limits, np.array([arm, axis, pivot]), gains, least, place[None], angles)
+    _first_met(limits, body, axis[None], gains, least, place[None], angles)
 
     met = np.array([FULL_TURN, FULL_TURN])
-    for each in place:
-        met = np.minimum(met, _meeting(arm, axis, each))
+    for turning in arms:
+        for obstacle in place:
+            met = np.minimum(met, _meeting(turning, axis, obstacle))
     gain = np.cos(met) * gains[0, 0] + np.array([1.0, -1.0]) * np.sin(met) * gains[0, 1]
     counts = (met >= limits.min_flip) & (gain >= least)
     is_same = np.isclose(angles[0], met, rtol=0.0, atol=1e-9)

@@ -52,6 +52,7 @@ class PlanningClimbers(NamedTuple):
 
     structure: Ints1
     dock_offset_body: Reals2
+    twist: Reals2
     near: Reals3
     obstacle: Reals3
 
@@ -151,8 +152,8 @@ def plan_flips(
     head: Ints2, following: Ints2, dock: Reals3,
     believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # of Climbers
-    structure: Ints1, dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3,
-    ground: Reals1, of_structure: Reals2,
+    structure: Ints1, dock_offset_body: Reals2, twist: Reals2, near_out: Reals3,
+    obstacle_out: Reals3, ground: Reals1, of_structure: Reals2,
     # of WalkArrays
     center: Reals3, orientation: Reals3, touching: Ints4, on_ground: Ints3, last: Ints1,
     # FlipArrays
@@ -175,7 +176,9 @@ def plan_flips(
     """
     structures = ti.static(BelievedDocks(CellList(head, following), dock))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
-    climbers = ti.static(PlanningClimbers(structure, dock_offset_body, near_out, obstacle_out))
+    climbers = ti.static(
+        PlanningClimbers(structure, dock_offset_body, twist, near_out, obstacle_out)
+    )
     walks = ti.static(WalkedStances(center, orientation, touching, on_ground, last))
     flips = ti.static(FlipArrays(angle_out, end_out, turned_out, visited_out))
     site = ti.static(site_of(ground, laws))
@@ -207,20 +210,22 @@ def _plans_about(
     hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
     pivot = hinge.pivot
     anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
-    for twist in range(limits.twists):
-        axis = flip_axis(limits, hinge, twist)
+    for number in range(climbers.twist.shape[0]):
+        axis = flip_axis(climbers, hinge, number)
         sensed_axis = rotate(quaternion_at(believed.turn, m, stance), axis)
         first = ti.Vector([0.0, 0.0], F64)
         if is_local:
             among = ti.min(hinge.obstacles, climbers.obstacle.shape[1])
-            first = first_met(limits, body, q, k, axis, pivot, obstacle, m, among, anywhere)
+            first = first_met(limits, body, q, k, -1, axis, pivot, obstacle, m, among, anywhere)
         else:
             place = pivot + hinge.by
             among = hinge.count
-            first = first_met(limits, body, sensed, k, sensed_axis, place, near, m, among, anywhere)
+            first = first_met(
+                limits, body, sensed, k, -1, sensed_axis, place, near, m, among, anywhere
+            )
         for way in ti.static(range(2)):
             if first[way] >= limits.min_flip and first[way] <= limits.max_flip:
-                column = 2 * (limits.twists * k + twist) + way
+                column = 2 * (climbers.twist.shape[0] * k + number) + way
                 turned = flipped(axis, way, first[way], q)
                 planned = flipped(sensed_axis, way, first[way], sensed)
                 end = pivot - rotate(turned, hinge.body_in)
@@ -260,7 +265,7 @@ def note_planned_docks(
     """
     structures = ti.static(DockPlaces(dock))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
-    climbers = ti.static(PlanningClimbers(structure, dock_offset_body, None, None))
+    climbers = ti.static(PlanningClimbers(structure, dock_offset_body, None, None, None))
     walks = ti.static(WalkedStances(center, orientation, touching, None, None))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:

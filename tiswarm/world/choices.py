@@ -416,7 +416,7 @@ class ChoiceClimb:
         self._sensed = sensed
         self._present = present
         slots, stances = walks.stances.pivot_dock.shape
-        self._flip_count = 2 * walks.limits.twists * walks.docks
+        self._flip_count = 2 * len(walks.climbers.twist) * walks.docks
         self._flips = _room_for_flips(slots, self._flip_count)
         self._by_belief = bool(walks.limits.by_belief)
         planned_flips = self._flips
@@ -554,9 +554,9 @@ class ChoiceClimb:
         plan_flips(
             walks.limits, self._is_local, arrived, *self._structures.cells, self._structures.dock,
             *believed.cells, believed.dock, walks.turn, climbers.structure,
-            climbers.dock_offset_body, climbers.near, climbers.obstacle, climbers.ground,
-            climbers.of_structure, stances.center, stances.orientation, stances.touching,
-            stances.on_ground, stances.last, *plans, walks.laws,
+            climbers.dock_offset_body, climbers.twist, climbers.near, climbers.obstacle,
+            climbers.ground, climbers.of_structure, stances.center, stances.orientation,
+            stances.touching, stances.on_ground, stances.last, *plans, walks.laws,
         )  # fmt: skip
         self._stop_after_most_flips(arrived)
 

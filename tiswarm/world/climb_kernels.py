@@ -67,7 +67,6 @@ class ClimbLimits:
     reach: F64
     longest_flip: F64
     inverse_edge: F64
-    twists: I32
     is_planar: I32
     by_belief: I32
 
@@ -142,6 +141,9 @@ class Climbers(NamedTuple):
     dock_offset_body: Reals2
     """Center to dock in the body frame [R], shape (n, 3)."""
 
+    twist: Reals2
+    """Cosine and sine of each axis's angle to the first at the same dock, shape (axes, 2)."""
+
     near: Reals3
     """Scratch: vectors from the pivot to docks in reach, as believed, shape (slots, near, 3)."""
 
@@ -198,7 +200,6 @@ def limits_of(limits: Ref, of_structure: Ref, s):
         reach=limits.reach,
         longest_flip=limits.longest_flip,
         inverse_edge=limits.inverse_edge,
-        twists=limits.twists,
         is_planar=limits.is_planar,
         by_belief=limits.by_belief,
     )
@@ -254,6 +255,10 @@ class WalkArrays(NamedTuple):
     """Stance where each robot stays, settled or not, shape (slots,)."""
 
 
+NEVER = 4.0
+"""In place of a `turn_order`: what is not met in a full turn."""
+RESTS = -1.0
+"""In place of a `turn_order`: what is met where the turn starts."""
 _SETTLED_RISE = 1e-12
 """A dock whose coordinate swings by less than this [R] slides along: it never enters."""
 _RESTING_ANGLE = 1e-7
@@ -384,59 +389,171 @@ def slab_angles(middle, across, onward, edge, side, limits):
 
 
 @ti.func
-def contact_angles(limits: Ref, first, aim, arm, axis, pivot, obstacles: Ref, mover, near_count):
-    """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped.
+def _slabs_angles(limits: Ref, pivot, circle):
+    """Find the angles, forward and backward, at which a dock first meets either slab."""
+    middle = pivot + circle.along * circle.axis
+    across = circle.across
+    onward = circle.onward
+    left = slab_angles(middle, across, onward, limits.left_edge, 1.0, limits)
+    right = slab_angles(middle, across, onward, limits.right_edge, -1.0, limits)
+    return ti.min(left, right)
 
-    Others are stopped at `first`. After the angle t, cos t aim_0 + sin t aim_1 is what a robot
-    gains, and 0 stands for ways that gain less than aim_2 wherever they end, or end before aim_3.
+
+@kernel_struct
+class Circle:
+    """Way of a dock that turns about an axis through another dock of its robot, the pivot.
+
+    After the angle t it is at along axis + across cos t + onward sin t from the pivot.
     """
+
+    arm: Vec3
+    axis: Vec3
+    across: Vec3
+    onward: Vec3
+    along: F64
+
+
+@ti.func
+def circle_of(body: Ref, q, k, turning, axis):
+    """Find the circle of dock `turning` about an axis through dock `k`."""
+    arm = rotate(q, vector_at(body, turning) - vector_at(body, k))
     along = arm.dot(axis)
-    across = arm - along * axis
-    onward = axis.cross(arm)
-    middle = pivot + along * axis
-    if ti.static(obstacles.site.is_flat):
-        first = ti.min(first, slab_angles(middle, across, onward, limits.left_edge, 1.0, limits))
-        first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
+    return Circle(
+        arm=arm, axis=axis, across=arm - along * axis, onward=axis.cross(arm), along=along
+    )
+
+
+@ti.func
+def _rise(limits: Ref, circle, to_dock):
+    """Return a, b and the level of a dock: it is met where a cos t + b sin t rises through that."""
+    squares = circle.arm.norm_sqr() + to_dock.norm_sqr() - limits.spacing * limits.spacing
+    level = 0.5 * squares - circle.along * to_dock.dot(circle.axis)
+    return ti.Vector([to_dock.dot(circle.across), to_dock.dot(circle.onward), level])
+
+
+@ti.func
+def _rise_orders(rise):
+    """Find the `turn_order` of angles at which a dock is met, turning forward and backward.
+
+    It is NEVER for a dock that is not met, and RESTS for one that the turn is at rest on. The third
+    number is 1 where rounding decides, else 0. There is no branch: processors would often guess it
+    wrong.
+    """
+    a, b, level = rise[0], rise[1], rise[2]
+    swing = a * a + b * b
+    room = swing - level * level
+    is_met = (room >= TIE * swing) & (swing > 0.0)
+    is_close = (room < TIE * swing) & ((level < 0.0) | (room > -TIE * swing))
+    side = ti.sqrt(ti.max(room, 0.0))
     sign = ti.Vector([1.0, -1.0])
-    least = ti.Vector([4.0, 4.0])
+    cosine = (a * level + sign * b * side) / swing
+    sine = (sign * b * level - a * side) / swing
+    is_resting = (cosine > 0.0) & (sine < 0.0) & (sine > -0.5 * _RESTING_ANGLE)
+    order = ti.select(is_resting, RESTS, turn_order(cosine, sine))
+    is_close = is_close | (is_met & (order.max() > NEVER - TIE))
+    order = ti.select(is_met, order, NEVER)
+    return ti.Vector([order[0], order[1], ti.cast(is_close, F64)])
+
+
+@ti.func
+def _gain_where_met(rise, sense, aim):
+    """Return what a robot has gained where it meets a dock; `sense` is 1 forward, -1 backward."""
+    a, b, level = rise[0], rise[1], rise[2]
+    swing = a * a + b * b
+    side = sense * ti.sqrt(swing - level * level)
+    return ((a * level + b * side) * aim[0] + (b * level - a * side) * aim[1]) / swing
+
+
+@ti.func
+def _least_close_angles(limits: Ref, body: Ref, q, k, still, axis, near: Ref, m, count, least):
+    """Compute the angles of all docks that rounding may put first; return the least each way."""
+    first = ti.Vector([limits.full_turn, limits.full_turn])
+    for turning in range(body.shape[0]):
+        if turning != k and turning != still:
+            circle = circle_of(body, q, k, turning, axis)
+            for entry in range(count):
+                rise = _rise(limits, circle, vector_in(near, m, entry))
+                orders = _rise_orders(rise)
+                if orders[2] > 0.0 or orders[0] < least[0] + TIE or orders[1] < least[1] + TIE:
+                    angles = crossing_angles(rise[0], rise[1], rise[2], limits.full_turn)
+                    first = ti.min(first, angles)
+    return first
+
+
+@ti.func
+def first_met(
+    limits: Ref, body: Ref, q, k, still, axis, pivot, obstacles: Ref, mover, count, aim
+):  # fmt: skip
+    """Find the angles, forward and backward, at which a turn about dock `k` meets something.
+
+    Dock `still` lies on the axis, too; -1 where none does. After the angle t,
+    cos t aim_0 + sin t aim_1 is what a robot gains, and 0 stands for ways that gain less than
+    aim_2 wherever they end, or end before aim_3. A full turn stands for ways that meet nothing.
+    """
+    first = ti.Vector([limits.full_turn, limits.full_turn])
     most = ti.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
-    best = turn_order(aim[0] / most, sign * aim[1] / most)
-    k = 0
-    while k < near_count and first.max() > 0.0:
-        to_dock = vector_in(obstacles.near, mover, k)
-        level = 0.5 * (arm.norm_sqr() + to_dock.norm_sqr() - limits.spacing * limits.spacing)
-        level -= along * to_dock.dot(axis)
-        a = to_dock.dot(across)
-        b = to_dock.dot(onward)
-        swing = a * a + b * b
-        room = swing - level * level
-        # Angles cost much more than what says which is the least: few are computed.
-        is_due = room < TIE * swing and (level < 0.0 or room > -TIE * swing)
-        if room >= TIE * swing:
-            side = ti.sqrt(room)
-            cosine = (a * level + sign * b * side) / swing
-            sine = (sign * b * level - a * side) / swing
-            order = turn_order(cosine, sine)
-            is_next = (first > 0.0) & ((order < least + TIE) | (order > 4.0 - TIE))
-            gain = ti.max(aim[0], cosine * aim[0] + sign * sine * aim[1])
-            is_lost = is_next & (ti.select(order > best - TIE, most, gain) < aim[2])
-            least = ti.select(is_next, ti.min(least, order), least)
-            first = ti.select(is_lost, 0.0, first)
-            is_due = (is_next > is_lost).any()
-        if is_due:
-            first = ti.min(first, crossing_angles(a, b, level, limits.full_turn))
-            first = ti.select(first < aim[3], 0.0, first)
-        k += 1
+    if most < aim[2]:
+        first = ti.Vector([0.0, 0.0])
+    # Angles cost much more than what says which is the least: one is computed each way.
+    least = ti.Vector([NEVER, NEVER])
+    second = ti.Vector([NEVER, NEVER])
+    a = ti.Vector([0.0, 0.0])
+    b = ti.Vector([0.0, 0.0])
+    level = ti.Vector([0.0, 0.0])
+    is_close = 0.0 * most
+    step = 1
+    while step < body.shape[0] and first.max() > 0.0:
+        turning = (k + step) % body.shape[0]
+        step += 1
+        if turning != still:
+            circle = circle_of(body, q, k, turning, axis)
+            if ti.static(obstacles.site.is_flat):
+                first = ti.min(first, _slabs_angles(limits, pivot, circle))
+            for entry in range(count):
+                rise = _rise(limits, circle, vector_in(obstacles.near, mover, entry))
+                orders = _rise_orders(rise)
+                is_close = ti.max(is_close, orders[2])
+                order = ti.Vector([orders[0], orders[1]])
+                is_less = order < least
+                second = ti.select(is_less, least, ti.select(order < second, order, second))
+                least = ti.select(is_less, order, least)
+                a = ti.select(is_less, rise[0], a)
+                b = ti.select(is_less, rise[1], b)
+                level = ti.select(is_less, rise[2], level)
+            first = ti.select(least == RESTS, 0.0, first)
+    is_tied = (first > 0.0) & (least < NEVER) & (second < least + TIE)
+    if first.max() > 0.0 and (is_close > 0.0 or is_tied.any()):
+        near = ti.static(obstacles.near)
+        among = _least_close_angles(limits, body, q, k, still, axis, near, mover, count, least)
+        first = ti.min(first, among)
+    for way in ti.static(range(2)):
+        if first[way] > 0.0 and least[way] < NEVER:
+            sense = 1.0 - 2.0 * way
+            rise = ti.Vector([a[way], b[way], level[way]])
+            gain = _gain_where_met(rise, sense, aim)
+            if first[way] < limits.full_turn or ti.static(not obstacles.site.is_flat):
+                # It may end before, and passes there what gains most, or gains less and less.
+                best = turn_order(aim[0] / most, sense * aim[1] / most)
+                gain = ti.select(least[way] > best - TIE, most, ti.max(aim[0], gain))
+            if gain < aim[2]:
+                first[way] = 0.0
+            else:
+                angles = crossing_angles(rise[0], rise[1], rise[2], limits.full_turn)
+                first[way] = ti.min(first[way], angles[way])
+    first = ti.select(first < aim[3], 0.0, first)
     if ti.static(not obstacles.site.is_flat):
         # The search costs much more than that for docks, which often rules a way out.
-        for way in range(2):  # not unrolled: the compiler takes long for the distance
-            sense = 1.0 - 2.0 * way
+        for case in range(2 * body.shape[0]):  # not unrolled: the compiler takes long
+            turning = case // 2
+            way = case % 2
             angle = ti.select(way == 0, first[0], first[1])
-            if angle > 0.0:
+            if turning != k and turning != still and angle > 0.0:
+                sense = 1.0 - 2.0 * way
+                circle = circle_of(body, q, k, turning, axis)
                 angle = arc_angle(
-                    middle,
-                    across,
-                    sense * onward,
+                    pivot + circle.along * axis,
+                    circle.across,
+                    sense * circle.onward,
                     0.5 * limits.spacing,
                     angle,
                     ti.Vector([aim[0], sense * aim[1], aim[2], aim[3]]),
@@ -613,16 +730,6 @@ def misplaced(
 
 
 @ti.func
-def first_met(limits: Ref, body: Ref, q, k, axis, pivot, obstacles: Ref, mover, count, aim):
-    """Find the angles at which a turn about dock `k` meets something; see `contact_angles`."""
-    first = ti.Vector([limits.full_turn, limits.full_turn])
-    for step in range(1, body.shape[0]):
-        arm = rotate(q, vector_at(body, (k + step) % body.shape[0]) - vector_at(body, k))
-        first = contact_angles(limits, first, aim, arm, axis, pivot, obstacles, mover, count)
-    return first
-
-
-@ti.func
 def hinge_at(
     limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k
 ):
@@ -662,10 +769,9 @@ def hinge_at(
 
 
 @ti.func
-def flip_axis(limits: Ref, hinge, twist):
-    """Return the axis number `twist` of those that a robot may turn about at a dock."""
-    turn = 0.5 * limits.full_turn * twist / limits.twists
-    return ti.cos(turn) * hinge.normal + ti.sin(turn) * hinge.side
+def flip_axis(climbers: Ref, hinge, number):
+    """Return one of the axes that a robot may turn about at a dock."""
+    return climbers.twist[number, 0] * hinge.normal + climbers.twist[number, 1] * hinge.side
 
 
 @ti.func
@@ -723,19 +829,19 @@ def nearest_flip(
     pivot = hinge.pivot
     by = hinge.by
     body_in = hinge.body_in
-    for twist in range(limits.twists):
-        axis = flip_axis(limits, hinge, twist)
+    for number in range(climbers.twist.shape[0]):
+        axis = flip_axis(climbers, hinge, number)
         aim = _aim(limits, hinge, axis, goal, ti.min(within[1], chosen.distance), laws)
         sensed_axis = axis
         if limits.by_belief:
             sensed_axis = rotate(quaternion_at(believed.turn, mover, stance), axis)
         first = first_met(
-            limits, body, sensed, k, sensed_axis, pivot + by, near, mover, hinge.count, aim
+            limits, body, sensed, k, -1, sensed_axis, pivot + by, near, mover, hinge.count, aim
         )
         truly = first
         if limits.by_belief:
             among = hinge.obstacles
-            truly = first_met(limits, body, q, k, axis, pivot, obstacle, mover, among, aim)
+            truly = first_met(limits, body, q, k, -1, axis, pivot, obstacle, mover, among, aim)
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
@@ -871,16 +977,19 @@ def sense_contacts(limits: Ref, site: Ref, structures: Ref, s, walks: Ref, mover
     for slot in range(MAX_TOUCHING):
         walks.touching[mover, stance, k, slot] = -1
     low = cube_of(point - limit, limits.inverse_edge)
-    size = cube_of(point + limit, limits.inverse_edge) - low + 1
-    for z, y, x in ti.ndrange(size[2], size[1], size[0]):
-        item = first_item(structures.cells, s, low + ti.Vector([x, y, z]), 13)  # the cube itself
-        while item >= 0:
-            if (vector_in(structures.dock, s, item) - point).norm_sqr() < limit * limit:
-                walks.touching[mover, stance, k, count] = item
-                count += 1
-                if structures.relay[s, item] > 0:
-                    called = 1
-            item = structures.cells.following[s, item]
+    last = ti.cast(cube_of(point + limit, limits.inverse_edge) - low, I32)
+    for z in range(last[2] + 1):  # ti.ndrange would divide for each cube
+        for y in range(last[1] + 1):
+            for x in range(last[0] + 1):
+                cube = low + ti.Vector([x, y, z])
+                item = first_item(structures.cells, s, cube, 13)  # the cube itself
+                while item >= 0:
+                    if (vector_in(structures.dock, s, item) - point).norm_sqr() < limit * limit:
+                        walks.touching[mover, stance, k, count] = item
+                        count += 1
+                        if structures.relay[s, item] > 0:
+                            called = 1
+                    item = structures.cells.following[s, item]
     walks.on_ground[mover, stance, k] = _ground_kind(point, limits, site)
     return called
 
@@ -934,12 +1043,10 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m, laws: Ref
         pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
         axis = across.normalized()
         count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
-        met = ti.Vector([limits.full_turn, limits.full_turn])
         anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
-        for k in range(docks):
-            if k != first_dock and k != second_dock:
-                arm = rotate(q, vector_at(body, k) - body_in)
-                met = contact_angles(limits, met, anywhere, arm, axis, pivot, obstacles, m, count)
+        met = first_met(
+            limits, body, q, first_dock, second_dock, axis, pivot, obstacles, m, count, anywhere
+        )
         angle = ti.min(met[0], met[1])
         flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
         turned = quaternion_product(flip, q).normalized()
@@ -966,8 +1073,8 @@ def climb(
     believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
-    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
-    of_structure: Reals2,
+    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, obstacle_out: Reals3,
+    ground: Reals1, of_structure: Reals2,
     # WalkArrays, from the first stance on
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
@@ -996,7 +1103,7 @@ def climb(
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, obstacle_out,
         ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(

@@ -87,8 +87,8 @@ def list_flips(
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
-    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
-    of_structure: Reals2,
+    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, obstacle_out: Reals3,
+    ground: Reals1, of_structure: Reals2,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay: Ints1,
@@ -110,7 +110,7 @@ def list_flips(
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(head, following), dock, orientation))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, obstacle_out,
         ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
@@ -155,12 +155,12 @@ def _flips_about(
     q = quaternion_at(walks.orientation, m, stance)
     hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
     anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
-    for twist in range(limits.twists):
-        axis = flip_axis(limits, hinge, twist)
-        first = first_met(limits, body, q, k, axis, hinge.pivot, near, m, hinge.count, anywhere)
+    for number in range(climbers.twist.shape[0]):
+        axis = flip_axis(climbers, hinge, number)
+        first = first_met(limits, body, q, k, -1, axis, hinge.pivot, near, m, hinge.count, anywhere)
         for way in ti.static(range(2)):
             if first[way] >= limits.min_flip and first[way] <= limits.max_flip:
-                column = 2 * (limits.twists * k + twist) + way
+                column = 2 * (climbers.twist.shape[0] * k + number) + way
                 turned = flipped(axis, way, first[way], q)
                 end = hinge.pivot - rotate(turned, hinge.body_in)
                 flips.angle[m, column] = (1.0 - 2.0 * way) * first[way]
@@ -225,8 +225,8 @@ def settle_walks(
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
-    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3, ground: Reals1,
-    of_structure: Reals2,
+    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, obstacle_out: Reals3,
+    ground: Reals1, of_structure: Reals2,
     # WalkArrays
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay_out: Ints1,
@@ -241,7 +241,7 @@ def settle_walks(
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, manner, dock_offset_body, near_out, obstacle_out,
+        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, obstacle_out,
         ground, of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(

@@ -104,10 +104,16 @@ def climb_limits(
         reach=reach,
         longest_flip=2.0 * arm * (1.0 + _ROUNDING),
         inverse_edge=1.0 / reach,
-        twists=1 if is_planar else climb.twists,
         is_planar=is_planar,
         by_belief=by_belief,
     )
+
+
+def _twists(climb: ClimbParams, robot: RobotGeometry) -> Reals:
+    """List the axes through a dock, as `Climbers` has them, shape (axes, 2)."""
+    axes = 1 if isinstance(robot, PlanarRobot) else climb.twists
+    angles = [math.pi * number / axes for number in range(axes)]
+    return np.array([(math.cos(angle), math.sin(angle)) for angle in angles])
 
 
 def climb_laws(params: GrowthParams) -> tuple[Laws, Reals]:
@@ -245,6 +251,7 @@ class Walks:
             goal=np.zeros((slots, 3)),
             manner=np.zeros((slots, Manner.TOTAL), np.int32),
             dock_offset_body=robot.dock_offset_body,
+            twist=_twists(params[0].climb, robot),
             near=np.empty((slots, believed_near_most, 3)),
             obstacle=np.empty((slots, true_near_most, 3)),
             ground=ground,
