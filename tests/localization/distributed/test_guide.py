@@ -20,8 +20,6 @@ def test_the_guide_has_all_settings_with_their_defaults():
 
     common = {field.name for field in fields(ChiSquareParams)} | {"method"}
     own = {
-        field.name: field.default
-        for field in fields(DistributedParams)
-        if field.name not in common
+        field.name: field.default for field in fields(DistributedParams) if field.name not in common
     }
     assert stated == own
