@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.browser import probe
+from tests.browser import probe, probe_phone
 from tests.runs import REPOSITORY
 from tiswarm.app.comparison import compare, rows_drawing
 from tiswarm.base.errors import InputError
@@ -157,6 +157,23 @@ def test_no_two_conditions_look_alike(tmp_path):
     assert len({*looks.values()}) == len(looks) == 70
     assert dict(found["legend"]).keys() == looks.keys()
     assert found["picked"] == [found["legend"][12][0], [found["legend"][12][0]]]
+
+
+@pytest.mark.trial
+def test_a_comparison_fits_a_phone(tmp_path):
+    """Names of any length are broken into lines, and nothing is wider than the page."""
+    names = [f"condition {k} / {'walk contacts and heights ' * (k % 4)}" for k in range(12)]
+    cases = pd.DataFrame({"run": "a", "condition": names, "rmse_R": np.arange(12.0)})
+    page = cases_page("Comparison of 2 runs", cases, ["run", "condition"], file="c.csv")
+    script = """
+        found.wide = inside.documentElement.scrollWidth;
+        found.legend = inside.querySelectorAll("#legend button").length;
+    """
+
+    found = probe_phone(page, script, tmp_path)
+
+    assert found["troubles"] == []
+    assert (found["wide"], found["legend"]) == (390, 12)
 
 
 @pytest.mark.trial
