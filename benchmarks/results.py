@@ -6,10 +6,11 @@
     python -m benchmarks.results --write
 
 A row is the mean of a measure over the structures of a condition and point, with its 95 %
-confidence interval, Student's, or Wilson's of a share. Rows of the same structures, computed on
-the same kind of processor, are replaced; all others stay. `--write` puts the numbers of the file
-between the marks of pages: `benchmarks/statements.py` has the text of each mark.
-`tests/benchmarks/test_results.py` claims that nothing is left to write.
+confidence interval: Wilson's of a share of structures, else Student's. Rows up to version 0.3.0 of
+shares of robots that differ between structures have Wilson's, of as many zeros and ones as vary
+alike. Rows of the same structures, computed on the same kind of processor, are replaced; all others
+stay. `--write` puts the numbers of the file between the marks of pages: `benchmarks/statements.py`
+has the text of each mark. `tests/benchmarks/test_results.py` claims that nothing is left to write.
 """
 
 import argparse
@@ -29,7 +30,7 @@ from benchmarks.marks import write_texts
 from benchmarks.statements import texts_of
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.intervals import mean_std_ci95, share_ci95
+from tiswarm.records.intervals import ends_of, mean_std_ci95
 from tiswarm.records.measures import FEWEST
 from tiswarm.records.measures import MEASURES as ALL_MEASURES
 
@@ -114,7 +115,7 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
         for name, unit in measures.items():
             if name not in group or group[name].isna().all():
                 continue
-            ends = _with_ends(group[name].to_numpy(float), is_share=_is_share(name))
+            ends = _with_ends(name, group[name].to_numpy(float))
             value, low, high = (float(f"{end:.{_DIGITS}g}") for end in ends)
             rows.append(
                 of
@@ -131,21 +132,17 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _is_share(name: str) -> bool:
-    """Whether a column is a share from 0 to 1 of the robots, or 0 or 1."""
-    return any(measure.is_share for measure in ALL_MEASURES.values() if measure.column == name)
+def _with_ends(name: str, values: Reals) -> tuple[float, float, float]:
+    """Return the mean of a measure with the ends of its 95 % confidence interval.
 
-
-def _with_ends(values: Reals, *, is_share: bool) -> tuple[float, float, float]:
-    """Return a mean with the ends of its 95 % confidence interval, Wilson's of a share.
-
-    Ends of means of fewer than `FEWEST` structures, shape (n,), are NaN.
+    Shares end at 0 and 1. Ends of means of fewer than `FEWEST` structures, shape (n,), are NaN.
     """
-    found = mean_std_ci95(values)
-    low, high = found["mean"] - found["ci95"], found["mean"] + found["ci95"]
-    if is_share and np.isfinite(values).sum() >= FEWEST:
-        low, high = share_ci95(values).values()
-    return found["mean"], low, high
+    statistics = mean_std_ci95(values)
+    mean = statistics["mean"]
+    measure = ALL_MEASURES.get(name)
+    if measure is not None and measure.is_share and np.isfinite(values).sum() >= FEWEST:
+        return mean, *ends_of(measure, values).values()
+    return mean, mean - statistics["ci95"], mean + statistics["ci95"]
 
 
 def _kind(manifest: Mapping[str, Any]) -> str:

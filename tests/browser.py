@@ -49,3 +49,22 @@ def dump(address: str, *options: str) -> subprocess.CompletedProcess[str]:
         [CHROMIUM, "--headless=new", "--no-sandbox", "--dump-dom", *options, address],
         capture_output=True, text=True, timeout=200, check=False,
     )  # fmt: skip
+
+
+def probe_phone(page: str, script: str, folder: Path, *more: str) -> dict[str, Any]:
+    """Run a script beside a page that is 390 pixels wide, as on a phone, once it has loaded.
+
+    Windows of the browser are wider, so that the page is in a frame; the script has its `inside`,
+    the document. It fills `found`. Scroll bars take no room, as on a phone.
+    """
+    source = json.dumps(page).replace("</", "<\\/")
+    outside = "<!doctype html><html><head></head><body></body></html>"
+    show = (
+        f"const frame = document.createElement('iframe');\nframe.srcdoc = {source};\n"
+        "frame.style = 'width: 390px; height: 844px; border: 0';\n"
+        "frame.addEventListener('load', () => setTimeout(() => {\n"
+        "const inside = frame.contentDocument;\n"
+        f"{script}\ndocument.body.dataset.found = JSON.stringify(found);\n"
+        "}, 1000));\ndocument.body.append(frame);\n"
+    )
+    return probe(outside, show, folder, more=("--hide-scrollbars", *more))

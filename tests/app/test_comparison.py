@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.browser import probe
+from tests.browser import probe, probe_phone
 from tests.runs import REPOSITORY
 from tiswarm.app.comparison import compare, rows_drawing
 from tiswarm.base.errors import InputError
@@ -100,7 +100,7 @@ SUMMARY = "case,seed,series,condition,point,kind,status,reason,rmse_R"
 SELECTION = """
 const numbers = (id) => [...document.querySelectorAll(id)].length;
 const shown = () => ({
-  dots: numbers("#chart circle"), rows: numbers("tbody tr"),
+  dots: numbers("#chart .dot"), rows: numbers("tbody tr"),
   first: document.querySelector("tbody tr")?.textContent,
   matches: document.getElementById("matches").textContent,
   x: document.getElementById("x").value, hash: location.hash,
@@ -117,7 +117,7 @@ change("y", "height_R", "change");
 const buttons = () => [...document.querySelectorAll("th button")];
 for (const _ of "12") buttons().find(({ textContent }) => textContent === "RMSE [R]").click();
 found.sorted = shown();
-document.querySelector("#chart circle").dispatchEvent(new MouseEvent("click", { bubbles: true }));
+document.querySelector("#chart .dot").dispatchEvent(new MouseEvent("click", { bubbles: true }));
 found.chosen = numbers("tr.chosen");
 change("rows", "", "input");
 location.hash = "#x=seed&rows=other";
@@ -125,6 +125,55 @@ dispatchEvent(new Event("hashchange"));
 found.linked = shown();
 document.body.dataset.found = JSON.stringify(found);
 """
+
+
+LOOKS = """
+const drawnAs = (mark) => [mark.getAttribute("d"), mark.style.fill, mark.style.stroke].join(" ");
+const dots = [...document.querySelectorAll("#chart .dot")];
+const nameOf = (dot) => columnOf.get("condition").cells[dot.dataset.index];
+found.dots = dots.map((dot) => [nameOf(dot), drawnAs(dot)]);
+const entries = [...document.querySelectorAll("#legend button")];
+found.legend = entries.map((entry) => [entry.textContent, drawnAs(entry.querySelector(".dot"))]);
+entries[12].click();
+const shown = [...document.querySelectorAll("#chart .dot:not(.faint)")];
+found.picked = [entries[12].textContent, [...new Set(shown.map(nameOf))]];
+document.body.dataset.found = JSON.stringify(found);
+"""
+
+
+@pytest.mark.trial
+def test_no_two_conditions_look_alike(tmp_path):
+    """Of thirty conditions four shared a color, and nothing else distinguished their dots."""
+    names = [f"condition {k}" for k in range(70)]
+    cases = pd.DataFrame({"run": "a", "condition": 2 * names, "robots": 140 * [30]})
+    cases = cases.assign(rmse_R=np.arange(140.0))
+
+    found = probe(cases_page("Runs", cases, ["run", "condition"], file="c.csv"), LOOKS, tmp_path)
+
+    assert found["troubles"] == []
+    looks = dict(found["dots"])
+    assert len(found["dots"]) == 140
+    assert all(looks[name] == look for name, look in found["dots"])
+    assert len({*looks.values()}) == len(looks) == 70
+    assert dict(found["legend"]).keys() == looks.keys()
+    assert found["picked"] == [found["legend"][12][0], [found["legend"][12][0]]]
+
+
+@pytest.mark.trial
+def test_a_comparison_fits_a_phone(tmp_path):
+    """Names of any length are broken into lines, and nothing is wider than the page."""
+    names = [f"condition {k} / {'walk contacts and heights ' * (k % 4)}" for k in range(12)]
+    cases = pd.DataFrame({"run": "a", "condition": names, "rmse_R": np.arange(12.0)})
+    page = cases_page("Comparison of 2 runs", cases, ["run", "condition"], file="c.csv")
+    script = """
+        found.wide = inside.documentElement.scrollWidth;
+        found.legend = inside.querySelectorAll("#legend button").length;
+    """
+
+    found = probe_phone(page, script, tmp_path)
+
+    assert found["troubles"] == []
+    assert (found["wide"], found["legend"]) == (390, 12)
 
 
 @pytest.mark.trial

@@ -13,7 +13,7 @@ from urllib.request import Request, urlopen
 import psutil
 import pytest
 
-from tests.browser import dump
+from tests.browser import dump, probe_phone
 from tests.runs import REPOSITORY, call_here, environment, interruptible
 
 NO_RUN = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
@@ -198,3 +198,17 @@ def _said(*arguments, cwd=REPOSITORY):
     done = call_here("view", *arguments, cwd=cwd)
     (line,) = done.stderr.splitlines()
     return done.returncode, line.removeprefix("tiswarm: error: ")
+
+
+@pytest.mark.trial
+def test_a_case_takes_the_whole_width_of_a_phone(served, tmp_path):
+    """Margins of the list and of the case together left 342 of 390 pixels to the 3D view."""
+    _, shell = served.get("")
+    script = """
+        const { left, width } = inside.querySelector("iframe").getBoundingClientRect();
+        Object.assign(found, { left, width, wide: inside.documentElement.scrollWidth });
+    """
+
+    found = probe_phone(shell, script, tmp_path)
+
+    assert (found["left"], found["width"], found["wide"]) == (0, 390, 390)

@@ -71,6 +71,19 @@ def test_bars_of_shares_end_at_one(tmp_path):
     assert 0.9 < segment[0, 0] < 63 / 64 < segment[1, 0] < 1.0
 
 
+def test_bars_of_shares_of_flips_are_those_of_means(tmp_path):
+    """All flips of 64 structures were as planned, and Wilson's interval of 64 began at 94 %."""
+    rows = pd.DataFrame({"seed": range(64), "crossed": 1, "flips_as_planned": 1.0})
+    rows = rows.assign(case="a", series="a", condition="a", point="", kind="bridge", status="done")
+    rows = rows.assign(reason="", right_edge_R=20.0, height_R=1, reach_R=1)
+
+    figure = painters(RunData(tmp_path, rows))["building"].draw(panels=["flips_as_planned"])
+
+    (axes,) = figure.axes
+    ((segment,),) = [bar.get_segments() for bar in axes.containers[0][2]]
+    assert segment[:, 0].tolist() == [1.0, 1.0]
+
+
 def test_errors_of_beliefs_have_a_row_each(run):
     """Points that build the same kind differ in what their robots believe."""
     errors = run.summary[run.summary["kind"] == "tower"].drop(columns="structure.navigate_by")

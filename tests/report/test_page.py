@@ -15,6 +15,7 @@ from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.intervals import share_ci95
+from tiswarm.records.measures import FEWEST
 from tiswarm.records.messages import MISSING
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import page as page_module
@@ -341,7 +342,7 @@ def test_the_first_table_has_what_a_question_asks_for():
         "",
         "0.500 (0.0945 to 0.905)",
     ]
-    assert "Wilson" in shown.note
+    assert "Shares have their 95 % CI" in shown.note
     assert sent.frame["sent by a robot [B]"].tolist() == ["7", "8"]
     assert "height [R]" not in headline_table(table).frame
 
@@ -407,7 +408,7 @@ def test_the_error_of_all_robots_ranks_where_some_are_not_located():
     """A method that locates a fifth of the robots led tables by the errors of that fifth."""
     table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [18.3, 17.0]})
     table = table.assign(rmse_located_R_mean=[1.5, 17.0], procrustes_disparity_mean=5.9)
-    table = table.assign(located_ci95_low=[0.09, 0.34], located_ci95_high=[0.91, 1.0])
+    table = table.assign(located_least=[0.4, 1.0], located_most=[0.6, 1.0])
 
     all_located = headline_table(table.assign(located_mean=1.0))
     some = headline_table(table.assign(located_mean=[0.5, 1.0]))
@@ -415,29 +416,38 @@ def test_the_error_of_all_robots_ranks_where_some_are_not_located():
     assert [*all_located.frame] == ["condition", "n", "RMSE [R]", "disparity"]
     assert "All robots are located" in all_located.note
     assert [*some.frame] == [
-        "condition", "n", "RMSE [R]", "located [%] (95 % CI)", "RMSE of located [R]",
+        "condition", "n", "RMSE [R]", "located [%]", "RMSE of located [R]",
     ]  # fmt: skip
     assert some.frame.to_numpy().tolist() == [
         ["b", "2", "17", "100", "17"],
-        ["a", "2", "18.3", "50 (9 to 91)", "1.50"],
+        ["a", "2", "18.3", "50 (40 to 60)", "1.50"],
     ]
     assert "positions of others are guesses" in some.note
 
 
+ENDS = {"low": 0.48, "high": 0.52}
+
+
 def test_headings_tell_intervals_from_ranges():
-    """Wilson's interval of a share stood beside the least and greatest of an error, unsaid."""
+    """Shares of structures have intervals, also of few; shares of robots have ranges then."""
 
-    def attachment(structures):
-        table = pd.DataFrame({"condition": ["a"], "cases": structures, "paper_rmse_radii": None})
-        table = table.assign(rmse_R_mean=1.0, within_dock_mean=0.5)
-        tables = result_tables(table, pd.DataFrame())
-        return next(shown for shown in tables if shown.title == "Accuracy for attachment")
+    def closed(*structures):
+        rows = pd.DataFrame({"condition": [*"ab"][: len(structures)], "cases": structures})
+        rows = rows.assign(kind="bridge", rmse_R_mean=1.0, crossed_mean=0.5, located_mean=0.5)
+        rows = rows.assign(crossed_ci95_low=0.1, crossed_ci95_high=0.9)
+        rows = rows.assign(located_least=0.4, located_most=0.6)
+        is_many = rows["cases"] >= FEWEST
+        ends = {f"located_ci95_{end}": np.where(is_many, x, np.nan) for end, x in ENDS.items()}
+        return headline_table(rows.assign(**ends), "reached")
 
-    few, many = attachment(2), attachment(5)
+    few, mixed, many = closed(2), closed(2, 5), closed(5)
 
-    assert [*few.frame][1:] == ["share of robots within 2 R (95 % CI)"]
+    assert {"located [%]", "bridges closed [share] (95 % CI)"} <= {*few.frame}
+    assert few.frame["located [%]"].tolist() == ["50 (40 to 60)"]
     assert "In parentheses: least and greatest" in few.note
-    assert [*many.frame][1:] == ["share of robots within 2 R"]
+    assert mixed.frame["located [%] (95 % CI)"].tolist() == ["50", "50 (48 to 52)"]
+    assert many.frame["located [%]"].tolist() == ["50 (48 to 52)"]
+    assert "Shares have their 95 % CI in parentheses" in many.note
     assert "least and greatest" not in many.note
 
 

@@ -63,6 +63,12 @@ class Measure:
     is_share: bool = False
     """Whether it is a share from 0 to 1, or 0 or 1, whose mean over structures is a share."""
 
+    is_yes_or_no: bool = False
+    """Whether it is 0 or 1 for each structure, so that its mean is the share of structures with 1.
+
+    Other shares are of the robots, contacts or flips of a structure.
+    """
+
     @property
     def needs_estimate(self) -> bool:
         """Whether only cases whose robots were localized have it."""
@@ -162,6 +168,7 @@ TIPPED, SLID = (
         f"whether the structure {name} on docks that rest; empty where the ground holds them",
         label=f"Structures that {name}",
         is_share=True,
+        is_yes_or_no=True,
     )
     for name in ("tipped", "slid")
 )
@@ -206,6 +213,7 @@ CROSSED = Measure(
     "whether a bridge joins both sides of its gap",
     label="Bridges closed",
     is_share=True,
+    is_yes_or_no=True,
 )
 FLIPS_AS_PLANNED = _larger(
     "flips_as_planned",
@@ -317,13 +325,21 @@ PRECISION = _larger(
 RECALL = _larger(
     "outlier_recall", "1", _BOTH, "reported outliers among wrong contacts", is_share=True
 )
-CONVERGED = _larger("converged", "1", _ESTIMATE, "whether the method converged", is_share=True)
+CONVERGED = _larger(
+    "converged",
+    "1",
+    _ESTIMATE,
+    "whether the method converged",
+    is_share=True,
+    is_yes_or_no=True,
+)
 CONSISTENT = _larger(
     "consistent",
     "1",
     _ESTIMATE,
     "whether noise as stated explains the measurements; empty where that was not tested",
     is_share=True,
+    is_yes_or_no=True,
 )
 TESTABLE = Measure(
     "testable",
@@ -331,6 +347,7 @@ TESTABLE = Measure(
     _ESTIMATE,
     "whether the log could be found not consistent: it was, or it has spare measurements",
     is_share=True,
+    is_yes_or_no=True,
 )
 SPARE = Measure(
     "spare_measurements",
@@ -507,6 +524,7 @@ SETTLED = _larger(
     "whether the longest last step of a robot is shorter than `settled_below`",
     label="Settled",
     is_share=True,
+    is_yes_or_no=True,
 )
 LAST_MOVE = _smaller(
     "last_move_R", "R", _SWARM, "longest last step of a robot", label="Longest last step"

@@ -776,7 +776,7 @@ def draw_building(
     Args:
         axes: Panel.
         rows: Cases with the columns `by`, what robots navigate by, and `structure`, its kind.
-        measure: Measure; shares have Wilson's interval.
+        measure: Measure, whose intervals are those of its kind.
         names: What robots navigate by, a row each.
         looks: Look of the markers of each kind.
         kinds: Kinds of structures to draw.
@@ -796,4 +796,4 @@ def _bar(values: Any, name: str, measure: Measure) -> tuple[float, float]:  # no
     """Return how far the interval of a group of values extends below and above its mean."""
     if name not in values.groups:
         return 0.0, 0.0
-    return figure_style.bar_of(values.get_group(name), is_share=measure.is_share)
+    return figure_style.bar_of(values.get_group(name), measure)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError, require_name
-from tiswarm.records.intervals import mean_std_ci95, share_ci95
-from tiswarm.records.measures import FEWEST
+from tiswarm.records.intervals import ends_of, mean_std_ci95
+from tiswarm.records.measures import FEWEST, Measure
 from tiswarm.records.messages import counted
 from tiswarm.records.outputs import NEW, Outputs
 
@@ -444,13 +444,16 @@ def half_width(values: "pd.Series[float]") -> float:
     return float(np.nan_to_num(mean_std_ci95(np.asarray(values, np.float64))["ci95"]))
 
 
-def bar_of(values: "pd.Series[float]", *, is_share: bool = False) -> tuple[float, float]:
-    """Return how far the 95 % interval of a mean extends below and above it; 0 of few values."""
-    if not is_share:
+def bar_of(values: "pd.Series[float]", measure: Measure) -> tuple[float, float]:
+    """Return how far the 95 % interval of the mean of a measure extends below and above it.
+
+    Both are 0 of few structures.
+    """
+    if not measure.is_share:
         half = half_width(values)
         return half, half
     mean = values.mean()
-    low, high = share_ci95(np.asarray(values, np.float64)).values()
+    low, high = ends_of(measure, np.asarray(values, np.float64)).values()
     return (mean - low, high - mean) if values.count() >= FEWEST else (0.0, 0.0)
 
 

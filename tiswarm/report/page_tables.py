@@ -252,12 +252,15 @@ def _notes_on_means(rows: pd.DataFrame, *, with_shares: bool) -> list[str]:
 
 
 def _in_parentheses(rows: pd.DataFrame, *, with_shares: bool = True) -> list[str]:
-    """State what stands in parentheses: ranges of few structures, and intervals of shares."""
+    """State what stands in parentheses: ranges of few structures, and intervals of shares.
+
+    Shares of structures have intervals of any number; those of robots, of enough structures.
+    """
     notes = []
     if _has_ranges(rows):
         notes.append(f"In parentheses: least and greatest, of fewer than {FEWEST} structures.")
     if with_shares:
-        notes.append("Shares have Wilson's 95 % CI in parentheses.")
+        notes.append("Shares have their 95 % CI in parentheses.")
     return notes
 
 
@@ -324,7 +327,15 @@ def has_guesses(rows: pd.DataFrame) -> bool:
 
 def _heading(heading: str, measure: Measure, rows: pd.DataFrame) -> str:
     """Write the heading of a measure; beside ranges, that of a share says that it has intervals."""
-    return f"{heading} (95 % CI)" if measure.is_share and _has_ranges(rows) else heading
+    is_said = _has_ends(measure, rows) and _has_ranges(rows)
+    return f"{heading} (95 % CI)" if is_said else heading
+
+
+def _has_ends(measure: Measure, rows: pd.DataFrame) -> bool:
+    """Whether means of a measure stand beside both ends of intervals, some of them at least."""
+    if measure.is_yes_or_no:
+        return True
+    return measure.is_share and bool(rows.get(measure.bounds[0], pd.Series()).notna().any())
 
 
 _LOCATED = "located [%]"
@@ -823,8 +834,8 @@ def _mean(
     Shares have both ends of their intervals, which are not symmetric.
     """
     name = measure.column if isinstance(measure, Measure) else measure
-    is_share = isinstance(measure, Measure) and measure.is_share
-    ends = ("ci95_low", "ci95_high") if is_share else ("least", "most")
+    has_ends = isinstance(measure, Measure) and _has_ends(measure, table)
+    ends = ("ci95_low", "ci95_high") if has_ends else ("least", "most")
     columns = [f"{name}_{statistic}" for statistic in ("mean", "ci95", *ends)]
     values = factor * table.reindex(columns=columns).astype(float).to_numpy()
     count = table["cases" if "cases" in table else "structures"]

@@ -34,7 +34,7 @@ from tiswarm.localization.settings import VirtualForceParams
 from tiswarm.records import measures
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame, write_frame
-from tiswarm.records.intervals import mean_std_ci95, share_ci95
+from tiswarm.records.intervals import ends_of, mean_std_ci95
 from tiswarm.records.io import run_file
 from tiswarm.records.measures import Measure
 from tiswarm.records.messages import counted
@@ -362,7 +362,7 @@ def _statistics(measure: Measure, values: Reals) -> dict[str, float]:
     statistics = mean_std_ci95(values) | metrics.least_and_most(values)
     if measure.is_share:
         del statistics["ci95"]
-        statistics |= share_ci95(values)
+        statistics |= ends_of(measure, values)
     return statistics
 
 

@@ -1,4 +1,4 @@
-"""Localization by robots that know their own rows and what others sent them.
+"""Localization by robots that know their own measurements and what others sent them.
 
 Here are the settings of `distributed`, each with its unit and its reason. Lengths in R.
 """
@@ -54,8 +54,9 @@ _OF_SCHEME = {
 class DistributedParams(ChiSquareParams, SendsPlugins):
     """What robots send each other to find out where they are, and by which channel.
 
-    A robot computes from its own rows and from what it was sent. By default several robots solve,
-    each for those that join within `reach` of it. With the solver `base` the anchor solves for all.
+    A robot computes from its own measurements and from what it was sent. By default several robots
+    solve, each for those that join within `reach` of it. With the solver `base` the anchor solves
+    for all.
     """
 
     module: ClassVar = "tiswarm.localization.distributed.method"
@@ -71,10 +72,10 @@ class DistributedParams(ChiSquareParams, SendsPlugins):
     """No bias of yaw is solved for."""
 
     scheme: Literal["joiner", "algorithm-1"] = "joiner"
-    """joiner: where a robot joins, one robot asks those nearby for what they measured, solves for
-    their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
-    `virtual-force`, without rounding. By radio a robot goes without poses that it does not hear; by
-    touch all are repeated until they are heard."""
+    """joiner: where a robot joins, one robot, the `solver`, asks those nearby for what they
+    measured, solves for their positions and sends them the answer. algorithm-1: the paper's, by the
+    defaults of `virtual-force`, without rounding. By radio a robot goes without poses that it does
+    not hear; by touch all are repeated until they are heard."""
 
     poses: Literal["once", "every-join", "asked"] = "every-join"
     """When robots send their poses in `algorithm-1`: once they are placed, at each join, or if they

@@ -5,13 +5,16 @@ const columnOf = new Map(columns.map((column) => [column.name, column]));
 const count = columns[0].cells.length;
 const element = (id) => document.getElementById(id);
 const MOST_ROWS = 1000; // rows of the table that are drawn
-const FEW = palette.length; // distinct whole numbers that are drawn as classes
+const FEW = palette.length; // distinct whole numbers that are drawn as classes, and names in a line of the legend
 const MARGIN = { left: 64, right: 16, top: 10, bottom: 46 };
 const HEIGHT = 380;
 
 const usual = { rows: "", sort: "", logx: "", logy: "", ...first };
 const state = { ...usual };
 let chosen = -1;
+let picked = null; // class of the legend that a reader picked; others are faint
+const OTHERS = {}; // stands for the classes beyond the last look
+const PLAIN = { color: "#8a8f98", shape: 0, hollow: false };
 
 function readAddress() {
   for (const [key, value] of new URLSearchParams(location.hash.slice(1))) {
@@ -98,17 +101,56 @@ function mixed(share) {
   return `rgb(${channels.join()})`;
 }
 
-// Colors of rows, and what the legend has: classes in the palette, other numbers along a scale.
-function colorsOf(column, indices) {
+// --- marks: color, shape and whether it is filled, so that no two of many classes look alike ---
+
+const GRAY = "#8a8f98"; // rows without a value, and classes beyond the last look
+const arms = (turn) => Array.from({ length: 12 }, (_, k) => {
+  const [arm, corner] = [Math.floor(k / 3) * 90 + turn, k % 3];
+  const [along, beside] = [[0.42, -0.42], [1.3, -0.42], [1.3, 0.42]][corner];
+  const [cos, sin] = [Math.cos((arm * Math.PI) / 180), Math.sin((arm * Math.PI) / 180)];
+  return [along * cos - beside * sin, along * sin + beside * cos];
+});
+// Corners about the center at radius 1; a circle has none. The order is that of figures.
+const SHAPES = [
+  null, [[-0.89, -0.89], [0.89, -0.89], [0.89, 0.89], [-0.89, 0.89]], [[0, -1.25], [1.25, 0], [0, 1.25], [-1.25, 0]],
+  [[0, -1.2], [1.2, 0.9], [-1.2, 0.9]], [[0, 1.2], [1.2, -0.9], [-1.2, -0.9]], arms(0), arms(45),
+];
+const FILLED = palette.length * SHAPES.length; // looks with filled marks; as many are hollow
+
+// The look of the class at a place: the first ones differ in color and in shape.
+function lookOf(place) {
+  if (place >= 2 * FILLED) return { color: GRAY, shape: 0, hollow: true };
+  const turn = Math.floor(place / palette.length);
+  return { color: palette[place % palette.length], shape: (place + turn) % SHAPES.length, hollow: place >= FILLED };
+}
+
+function markOf({ color, shape, hollow }, x, y, r) {
+  const corners = SHAPES[shape];
+  const at = (length) => Number(length.toFixed(2));
+  const d = corners ? `M${corners.map((corner) => corner.map((part) => at(part * r)).join()).join("L")}Z` : `M${-r},0a${r},${r} 0 1,0 ${2 * r},0a${r},${r} 0 1,0 ${-2 * r},0Z`;
+  const paint = isInk(color) ? "var(--ink)" : color;
+  const mark = svg("path", { class: "dot", d, transform: `translate(${at(x)} ${at(y)})` });
+  mark.style.fill = hollow ? "var(--page)" : paint;
+  if (hollow) Object.assign(mark.style, { stroke: paint, strokeWidth: 1.6 });
+  return mark;
+}
+
+// Looks of rows, and what the legend has: classes with a look each, other numbers along a scale.
+function looksOf(column, indices) {
   const used = indices.map((index) => column.cells[index]).filter((value) => value !== null);
   const classes = [...new Set(used)].sort((a, b) => (column.words ? a.localeCompare(b, "en", { numeric: true }) : a - b));
   if (column.words || (classes.length <= FEW && classes.every(Number.isInteger))) {
     const rank = new Map(classes.map((value, place) => [value, place]));
-    const color = (value) => (rank.has(value) ? palette[rank.get(value) % palette.length] : "#8a8f98");
-    return { color: (index) => color(column.cells[index]), classes: classes.map((value) => [color(value), column.words ? value || "\u2013" : shownNumber(value)]) };
+    const text = (value) => (column.words ? value || "\u2013" : shownNumber(value));
+    const own = classes.slice(0, 2 * FILLED).map((value, place) => [lookOf(place), text(value), value]);
+    const others = classes.length - own.length;
+    if (others) own.push([lookOf(2 * FILLED), `${others} others`, OTHERS]);
+    const classOf = (index) => (rank.get(column.cells[index]) < 2 * FILLED ? column.cells[index] : OTHERS);
+    return { look: (index) => (rank.has(column.cells[index]) ? lookOf(rank.get(column.cells[index])) : PLAIN), classes: own, classOf };
   }
   const low = classes[0], high = classes[classes.length - 1];
-  return { color: (index) => (column.cells[index] === null ? "#8a8f98" : mixed((column.cells[index] - low) / (high - low))), ends: [low, high] };
+  const color = (index) => (column.cells[index] === null ? GRAY : mixed((column.cells[index] - low) / (high - low)));
+  return { look: (index) => ({ ...PLAIN, color: color(index) }), ends: [low, high], classOf: () => null };
 }
 
 // --- drawing ---
@@ -128,7 +170,7 @@ function drawChart(indices) {
   const [x, y, color] = ["x", "y", "color"].map((key) => columnOf.get(state[key]));
   const across = axisOf(x, indices, state.logx === "1" && !x.words, width - MARGIN.left - MARGIN.right);
   const up = axisOf(y, indices, state.logy === "1" && !y.words, HEIGHT - MARGIN.top - MARGIN.bottom);
-  const { color: fill, classes, ends } = colorsOf(color, indices);
+  const { look, classes, ends, classOf } = looksOf(color, indices);
   const root = svg("svg", { viewBox: `0 0 ${width} ${HEIGHT}`, height: HEIGHT, role: "img", "aria-label": `${y.heading} against ${x.heading}` });
   const floor = HEIGHT - MARGIN.bottom;
   const most = Math.max(1, Math.floor((width - MARGIN.left - MARGIN.right) / 90));
@@ -148,23 +190,41 @@ function drawChart(indices) {
   root.append(svg("text", { transform: `translate(13 ${floor / 2}) rotate(-90)`, "text-anchor": "middle", "font-weight": 600 }, y.heading));
   const drawn = indices.filter((index) => across.isUsed(index) && up.isUsed(index));
   for (const index of drawn) {
-    const dot = svg("circle", { cx: MARGIN.left + across.place(index), cy: floor - up.place(index), r: drawn.length > 2000 ? 2.5 : 4, fill: fill(index) });
-    if (isInk(fill(index))) dot.classList.add("of-ink");
+    const dot = markOf(look(index), MARGIN.left + across.place(index), floor - up.place(index), drawn.length > 2000 ? 2.5 : 4);
     if (index === chosen) dot.classList.add("chosen");
     dot.dataset.index = index;
     root.append(dot);
   }
   element("chart").replaceChildren(root);
-  const entries = ends ? [legendScale(ends)] : classes.slice(0, 40).map(([paint, text]) => legendEntry(paint, text));
-  element("legend").replaceChildren(`${color.heading}: `, ...entries);
+  const emphasize = (value) => {
+    for (const dot of root.querySelectorAll(".dot")) dot.classList.toggle("faint", value !== null && classOf(Number(dot.dataset.index)) !== value);
+    root.append(...root.querySelectorAll(".dot:not(.faint)")); // above the faint ones
+  };
+  if (!classes?.some(([, , value]) => value === picked)) picked = null;
+  const entries = ends ? [legendScale(ends)] : classes.map((entry) => legendEntry(...entry, emphasize));
+  const heading = document.createElement("b");
+  heading.textContent = color.heading;
+  element("legend").classList.toggle("many", entries.length > FEW);
+  element("legend").replaceChildren(heading, ...entries);
+  if (picked !== null) emphasize(picked);
   const missing = indices.length - drawn.length;
   element("matches").textContent = `${indices.length} of ${count}${missing ? `, ${missing} without a value to draw` : ""}`;
 }
 
-function legendEntry(paint, text) {
-  const entry = document.createElement("span"), key = document.createElement("i");
-  key.style.background = isInk(paint) ? "var(--ink)" : paint;
+// A class in the legend: to point at it makes other marks faint, and a click does so until the next.
+function legendEntry(look, text, value, emphasize) {
+  const entry = document.createElement("button"), key = svg("svg", { width: 13, height: 13, viewBox: "-6.5 -6.5 13 13", "aria-hidden": "true" });
+  entry.type = "button";
+  key.append(markOf(look, 0, 0, 4));
   entry.append(key, text);
+  entry.setAttribute("aria-pressed", picked === value);
+  entry.addEventListener("pointerenter", () => emphasize(value));
+  entry.addEventListener("pointerleave", () => emphasize(picked));
+  entry.addEventListener("click", () => {
+    picked = picked === value ? null : value;
+    for (const other of element("legend").children) other.setAttribute("aria-pressed", other === entry && picked !== null);
+    emphasize(picked);
+  });
   return entry;
 }
 
