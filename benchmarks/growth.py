@@ -134,9 +134,9 @@ def load_difference(frames: mechanics.Frames) -> float:
         np.concatenate([each.ravel() for each in each_of]) for each_of in (values, rows, columns)
     )
     matrix = coo_matrix((entry, (row, column)), shape=(6 * nodes, 6 * nodes)).tocsc()
-    direct = spsolve(matrix, frame.weight[0, :nodes].ravel()).reshape(nodes, 6)
+    direct = spsolve(matrix, frame.weight[0, :nodes, :6].ravel()).reshape(nodes, 6)
     forces = []
-    for motion in (frames.work.motion[0, :nodes], direct):
+    for motion in (frames.work.motion[0, :nodes, :6], direct):
         of_b = np.where(b[:, None] >= 0, motion[b], 0.0)
         forces.append(
             np.einsum("nij,nj->ni", stiff[:, 0, 0], motion[a])

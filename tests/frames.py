@@ -11,9 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from tests.structures import exact_estimate
 from tiswarm.base.robot import RobotGeometry
+from tiswarm.compute.numerics import aligned_zeros
 from tiswarm.report.swarm_view import SwarmView, view_log
 from tiswarm.sensing.observation import observe
 from tiswarm.sensing.params import SensingParams
+from tiswarm.world.block_kernels import ROW_WIDTH
 from tiswarm.world.history import DIED, History
 from tiswarm.world.mechanics import Frames, Loads, MechanicsParams
 
@@ -65,6 +67,13 @@ def solved(structure: Standing, params: MechanicsParams) -> Frames:
         join(frames, 0, structure, j)
     frames.solve([0])
     return frames
+
+
+def in_rows(numbers: np.ndarray) -> np.ndarray:
+    """Append zeros to the six numbers of the last axis, as rows of blocks have them."""
+    rows = aligned_zeros(*numbers.shape[:-1], ROW_WIDTH)
+    rows[..., : numbers.shape[-1]] = numbers
+    return rows
 
 
 class LinkLoads(NamedTuple):

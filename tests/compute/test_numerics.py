@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tiswarm.compute import numerics
@@ -61,3 +62,13 @@ def test_llvm_alone_optimizes_kernels_without_checks_of_bounds(monkeypatch):
 
     assert optimized_by_library == {False: False, True: True}
     assert config.advanced_optimization
+
+
+def test_arrays_of_vectors_begin_where_a_vector_may():
+    """Processors refuse to load the longest vectors from other addresses."""
+    arrays = [numerics.aligned_zeros(n, 8) for n in range(1, 20)]
+    arrays.append(numerics.aligned_zeros(3, 5, dtype=np.int32))
+
+    assert [array.ctypes.data % 64 for array in arrays] == [0] * len(arrays)
+    assert not any(array.any() for array in arrays)
+    assert arrays[-1].dtype == np.int32

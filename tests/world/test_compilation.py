@@ -41,14 +41,18 @@ def test_loads_have_the_bits_of_kernels_that_the_library_optimizes(
     _assert_equal_bits(by_llvm, by_library)
 
 
-@needs_metis
-def test_loads_have_the_bits_of_kernels_without_vectors(monkeypatch):
+@pytest.mark.parametrize("model", ["flexible", "rigid"])
+@pytest.mark.parametrize(
+    "order", ["minimum-degree", pytest.param("nested-dissection", marks=needs_metis)]
+)
+def test_loads_have_the_bits_of_kernels_without_vectors(monkeypatch, model, order):
     """Registers of several numbers round each of them as one number is rounded."""
-    tower = TowerParams(mechanics=MechanicsParams(order="nested-dissection"))
+    tower = TowerParams(mechanics=MechanicsParams(model=model, order=order))
     by_vectors = grow(tower, robots=60, seeds=range(3), robot=RobotGeometry())
 
     backend.end()  # a kernel is compiled once in a program
-    monkeypatch.setattr(panels, "native_vectors", contextlib.nullcontext)
+    for module in (mechanics, panels):
+        monkeypatch.setattr(module, "native_vectors", contextlib.nullcontext)
     by_numbers = grow(tower, robots=60, seeds=range(3), robot=RobotGeometry())
 
     _assert_equal_bits(by_vectors, by_numbers)

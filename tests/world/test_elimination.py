@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 from tests import frames
 from tiswarm.compute import backend
 from tiswarm.compute.lang import Ints1, Ints2, Ints3, ti
+from tiswarm.compute.numerics import aligned_zeros, native_vectors
+from tiswarm.world.block_kernels import ROW_WIDTH, Blocks, Rows
 from tiswarm.world.frame_kernels import (
-    Blocks,
     EliminationArrays,
     HalfEdge,
     Node,
     NodeList,
-    Sixes,
     clear,
     edge_between,
     solve,
@@ -29,7 +29,7 @@ FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
 def _solve_one(
     pairs: Ints2, coupling: Blocks, own: Blocks, has_room_out: Ints1,
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
-    panel_out: Sixes, motion_out: Sixes,
+    panel_out: Rows, motion_out: Rows,
 ):  # fmt: skip
     work = ti.static(EliminationArrays(
         node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
@@ -37,10 +37,12 @@ def _solve_one(
     for _ in range(1):
         clear(work, 0, own.shape[1])
         for a in range(own.shape[1]):
-            block_out[0, a] = own[0, a]
+            for i in ti.static(range(SIDE)):
+                block_out[0, a, i] = own[0, a, i]
         for p in range(pairs.shape[0]):
             edge = edge_between(work, 0, pairs[p, 0], pairs[p, 1])
-            block_out[0, edge] += coupling[0, p]
+            for i in ti.static(range(SIDE)):
+                block_out[0, edge, i] = block_out[0, edge, i] + coupling[0, p, i]
         has_room_out[0] = ti.cast(solve(work, 0, own.shape[1]), ti.i32)
 
 
@@ -68,20 +70,21 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
         order=np.empty((1, nodes + 1, NodeList.TOTAL), np.int32),
         half=np.empty((1, 2 * blocks, HalfEdge.TOTAL), np.int32),
         block_count=np.zeros(1, np.int32),
-        block=np.empty((1, blocks, SIDE, SIDE)),
-        panel=np.empty((1, SIDE * nodes, SIDE)),
-        motion=load[None].copy(),
+        block=aligned_zeros(1, blocks, SIDE, ROW_WIDTH),
+        panel=aligned_zeros(1, SIDE * nodes, ROW_WIDTH),
+        motion=frames.in_rows(load[None]),
     )
     has_room = np.zeros(1, np.int32)
-    own = np.ascontiguousarray(dense[np.arange(nodes), np.arange(nodes)])
+    own = frames.in_rows(dense[np.arange(nodes), np.arange(nodes)][None])
     backend.processor()
 
-    _solve_one(pairs, coupling[None], own[None], has_room, *work)
+    with native_vectors():
+        _solve_one(pairs, frames.in_rows(coupling[None]), own, has_room, *work)
 
     matrix = dense.swapaxes(1, 2).reshape(SIDE * nodes, SIDE * nodes)
     expected = np.linalg.solve(matrix, load.ravel()).reshape(nodes, SIDE)
     assert has_room[0]
-    np.testing.assert_allclose(work.motion[0], expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(work.motion[0, :, :SIDE], expected, rtol=0.0, atol=1e-12)
 
 
 def _filled(structures, params, *, cramped=False):
@@ -92,7 +95,7 @@ def _filled(structures, params, *, cramped=False):
         nodes = built.work.motion.shape[1]
         built.work = built.work._replace(
             half=np.empty((len(structures), 2 * nodes, HalfEdge.TOTAL), np.int32),
-            block=np.empty((len(structures), nodes, SIDE, SIDE)),
+            block=aligned_zeros(len(structures), nodes, SIDE, ROW_WIDTH),
         )
         few = {name: getattr(built.frame, name)[:, :1] for name in ("ends", "span")}
         built.frame = built.frame._replace(**few, stiffness=built.frame.stiffness[:, :4])

@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests import frames
 from tiswarm.compute import backend
 from tiswarm.world.frame_kernels import GROUND, NO_DOCK
 from tiswarm.world.panels import PanelSolver
@@ -39,7 +40,7 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
     order = rng.permutation(nodes).astype(np.int32)
     backend.processor()
 
-    motion = SOLVER.solve(order, ends, np.ascontiguousarray(parts), load)
+    motion = SOLVER.solve(order, ends, np.ascontiguousarray(parts), frames.in_rows(load))[:, :SIDE]
 
     matrix = np.zeros((nodes, SIDE, nodes, SIDE))
     for (a, b, *_), beam in zip(ends, stiffness.reshape(-1, 2, SIDE, 2, SIDE), strict=True):
@@ -65,7 +66,8 @@ def test_what_nothing_holds_is_no_number():
     backend.processor()
 
     order = np.arange(4, dtype=np.int32)
-    motion = SOLVER.solve(order, ends, np.ascontiguousarray(parts), np.ones((4, SIDE)))
+    load = frames.in_rows(np.ones((4, SIDE)))
+    motion = SOLVER.solve(order, ends, np.ascontiguousarray(parts), load)[:, :SIDE]
 
     assert np.isnan(motion[:2]).all()
     assert np.isfinite(motion[2:]).all()

@@ -159,6 +159,7 @@ if TYPE_CHECKING:
     Reals1 = Any
     Reals2 = Any
     Reals3 = Any
+    Reals4 = Any
     Ints1 = Any
     Ints2 = Any
     Ints3 = Any
@@ -175,7 +176,7 @@ else:
     Static = ti.template()  # a value that a kernel is compiled for, anew for each other value
 
     # Without a dtype an array argument takes what it is given: one source for f32 and f64.
-    Reals1, Reals2, Reals3 = (ti.types.ndarray(ndim=ndim) for ndim in (1, 2, 3))
+    Reals1, Reals2, Reals3, Reals4 = (ti.types.ndarray(ndim=ndim) for ndim in (1, 2, 3, 4))
     Ints1, Ints2, Ints3, Ints4 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2, 3, 4))
     Longs2 = ti.types.ndarray(dtype=ti.i64, ndim=2)
     if sys.version_info < (3, 11):  # where the fields of a `NamedTuple` must be callable

@@ -13,10 +13,11 @@ from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import DTypeLike, NDArray
 from threadpoolctl import threadpool_info
 
 from tiswarm.base.aliases import Reals
@@ -24,6 +25,9 @@ from tiswarm.compute.lang import LIBRARY, ti
 
 _FEATURES = ("fma", "avx2", "avx512f")
 """Features of x86 that change how compilers round."""
+
+_LONGEST = 64
+"""Bytes of the longest vectors."""
 
 _VALUES = 256
 _SIZE = 48
@@ -193,7 +197,8 @@ def native_vectors() -> Iterator[None]:
 
     Else each number of a vector is one variable, and loops over rows take four times as long.
     Operations on numbers are the same, and so are bits. Vectors in arrays have to begin at a
-    multiple of their size; `a = a - b` stands for `a -= b`, which the library cannot translate.
+    multiple of their size, see `aligned_zeros`; `a = a - b` stands for `a -= b`, which the library
+    cannot translate.
     """
     config = ti.lang.impl.current_cfg()
     config.real_matrix_scalarize = False
@@ -201,3 +206,11 @@ def native_vectors() -> Iterator[None]:
         yield
     finally:
         config.real_matrix_scalarize = True
+
+
+def aligned_zeros(*shape: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Reserve an array of zeros that begins at a multiple of the size of any vector."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    room = np.zeros(size + _LONGEST, np.uint8)
+    first = -room.ctypes.data % _LONGEST
+    return room[first : first + size].view(dtype).reshape(shape)

@@ -11,9 +11,12 @@ which joins all neighbors of k to each other. Nodes that have the same neighbors
 Then, in reverse, u_k = C^-T (y - sum_a Z_a u_a).
 A matrix that is not positive definite gives NaN (George and Liu, Computer Solution of Large Sparse
 Positive Definite Systems, 1981).
+
+Functions write `a[i] = a[i] + b` where one thread alone adds: `a[i] += b` is atomic, which takes
+many times as long.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 from tiswarm.compute.lang import (
     F64,
@@ -25,18 +28,22 @@ from tiswarm.compute.lang import (
     Ints3,
     Reals2,
     Reals3,
+    Reals4,
     Ref,
     ti,
 )
 from tiswarm.compute.math_kernels import vector_in
-
-if TYPE_CHECKING:
-    Sixes = Any
-    Blocks = Any
-else:
-    # Elements are the last axis, or two: compilers see that their numbers lie side by side.
-    Sixes = ti.types.ndarray(dtype=ti.types.vector(6, ti.f64), ndim=2)
-    Blocks = ti.types.ndarray(dtype=ti.types.matrix(6, 6, ti.f64), ndim=2)
+from tiswarm.world.block_kernels import (
+    ROW_WIDTH,
+    Blocks,
+    Rows,
+    factorize,
+    solve_lower,
+    solve_rows,
+    solve_upper,
+    stiffness_row,
+    subtract_product,
+)
 
 
 class Node(Columns):
@@ -99,14 +106,21 @@ class EliminationArrays(NamedTuple):
     """Blocks that the elimination needed so far; it stops where they exceed L, shape (S,)."""
 
     block: Blocks
-    """K_aa, then C; K_ab, a < b, then Z, shape (S, L, 6, 6)."""
+    """K_aa, then C'; K_ab, a < b, then Z, shape (S, L, 6, 8)."""
 
-    panel: Sixes
+    panel: Rows
     """Scratch: rows of Z of each node of a group, those for one neighbor in succession,
-    shape (S, 6 M, 6)."""
+    shape (S, 6 M, 8)."""
 
-    motion: Sixes
-    """f of each node; then u, shape (S, M, 6)."""
+    motion: Rows
+    """f of each node; then u, shape (S, M, 8)."""
+
+
+@ti.func
+def _clear_block(work: Ref, s, place):
+    """Set a block to 0."""
+    for i in ti.static(range(6)):
+        work.block[s, place, i] = ti.Vector.zero(F64, ROW_WIDTH)
 
 
 @ti.func
@@ -117,7 +131,7 @@ def clear(work: Ref, s, nodes):
         work.node[s, a, Node.FIRST] = -1
         work.node[s, a, Node.DEGREE] = 0
         work.node[s, a, Node.MARKED_BY] = -1
-        work.block[s, a] = ti.Matrix.zero(F64, 6, 6)
+        _clear_block(work, s, a)
 
 
 @ti.func
@@ -137,16 +151,16 @@ def _add_edge(work: Ref, s, a, b):
     """Join two nodes; return the block of the edge, or -1 without room."""
     edge = work.block_count[s]
     half = 2 * edge
-    work.block_count[s] += 1
+    work.block_count[s] = edge + 1
     if edge >= work.block.shape[1]:
         edge = -1
     else:
-        work.block[s, edge] = ti.Matrix.zero(F64, 6, 6)
+        _clear_block(work, s, edge)
         for source, target, direction in ti.static(((a, b, 0), (b, a, 1))):
             work.half[s, half + direction, HalfEdge.TARGET] = target
             work.half[s, half + direction, HalfEdge.NEXT] = work.node[s, source, Node.FIRST]
             work.node[s, source, Node.FIRST] = half + direction
-            work.node[s, source, Node.DEGREE] += 1
+            work.node[s, source, Node.DEGREE] = work.node[s, source, Node.DEGREE] + 1
     return edge
 
 
@@ -206,7 +220,7 @@ def _join_neighbors(work: Ref, s, k):
     while half >= 0:
         a = work.half[s, half, HalfEdge.TARGET]
         _leave(work, s, a)
-        work.node[s, a, Node.DEGREE] -= 1
+        work.node[s, a, Node.DEGREE] = work.node[s, a, Node.DEGREE] - 1
         work.node[s, a, Node.PLACE] = near
         work.order[s, near, NodeList.NEAR] = a
         near += 1
@@ -222,23 +236,21 @@ def _join_neighbors(work: Ref, s, k):
 
 
 @ti.func
-def _subtract(rest: Ref, panel: Ref, s, first_a, first_b, rows):
-    """Subtract Z_a' Z_b from a block, always in the same order.
-
-    Z_a and Z_b have so many rows in the panel, from the places `first_a` and `first_b` on. A loop
-    over them starts sooner than lines for each row, and takes no longer.
-    """
-    for row in range(rows):
-        z_a = panel[s, first_a + row]
-        z_b = panel[s, first_b + row]
-        for i in ti.static(range(6)):
-            for j in ti.static(range(6)):
-                rest[i, j] -= z_a[i] * z_b[j]
+def _transposed(work: Ref, s, place):
+    """Read the columns of a block as rows."""
+    b = ti.static(work.block)
+    return [
+        ti.Vector([
+            b[s, place, 0][j], b[s, place, 1][j], b[s, place, 2][j],
+            b[s, place, 3][j], b[s, place, 4][j], b[s, place, 5][j], 0.0, 0.0,
+        ])
+        for j in range(6)
+    ]  # fmt: skip
 
 
 @ti.func
 def _eliminate(work: Ref, s, k, before, width):
-    """Eliminate node `k`: C replaces its block, y its load in `motion`, and Z_a those of edges.
+    """Eliminate node `k`: C' replaces its block, y its load in `motion`, and Z_a those of edges.
 
     `before` nodes of its group went before it, and the panel has `width` blocks a neighbor.
     """
@@ -246,45 +258,34 @@ def _eliminate(work: Ref, s, k, before, width):
     panel = ti.static(work.panel)
     motion = ti.static(work.motion)
     pivot_row = 6 * width * work.node[s, k, Node.PLACE]
-    factor = block[s, k]
-    y = motion[s, k]
-    _subtract(factor, panel, s, pivot_row, pivot_row, 6 * before)
-    # C C' = K_kk: C_ij = (K_ij - sum_c C_ic C_jc) / C_jj, or the square root of that for i = j
+    # The lower triangle gives the factor. Rounding makes the upper one of rigid robots differ.
+    c = _transposed(work, s, k)
+    subtract_product(c, panel, s, pivot_row, pivot_row, 6 * before)
+    factorize(c)
+    y = 1.0 * motion[s, k]
+    solve_lower(c, y)
     for i in ti.static(range(6)):
-        for j in ti.static(range(i + 1)):
-            for c in ti.static(range(j)):
-                factor[i, j] -= factor[i, c] * factor[j, c]
-            if ti.static(i > j):
-                factor[i, j] /= factor[j, j]
-        # NaN also where rounding makes a pivot 0.
-        factor[i, i] = ti.sqrt(factor[i, i]) if factor[i, i] > 0.0 else ti.math.nan
-        # y = C^-1 f_k, row by row
-        for c in ti.static(range(i)):
-            y[i] -= factor[i, c] * y[c]
-        y[i] /= factor[i, i]
-    block[s, k] = factor
+        block[s, k, i] = c[i]
     motion[s, k] = y
     half = work.node[s, k, Node.FIRST]
     while half >= 0:
         a = work.half[s, half, HalfEdge.TARGET]
         edge = half // 2
         row = 6 * width * work.node[s, a, Node.PLACE]
-        z = block[s, edge]
-        pull = motion[s, a]
+        z = [1.0 * block[s, edge, i] for i in range(6)]
         if a < k:  # the block is that of the lower number, K_ak = K_ka'
-            z = z.transpose()
-        _subtract(z, panel, s, pivot_row, row, 6 * before)
-        # Z_a = C^-1 K_ka, row by row, and f_a -= Z_a' y
+            turned = _transposed(work, s, edge)
+            for i in ti.static(range(6)):
+                z[i] = turned[i]
+        subtract_product(z, panel, s, pivot_row, row, 6 * before)
+        solve_rows(c, z)
+        # f_a -= Z_a' y
+        load = 1.0 * motion[s, a]
         for i in ti.static(range(6)):
-            for j in ti.static(range(6)):
-                for c in ti.static(range(i)):
-                    z[i, j] -= factor[i, c] * z[c, j]
-                z[i, j] /= factor[i, i]
-                pull[j] -= z[i, j] * y[i]
-        block[s, edge] = z
-        for i in ti.static(range(6)):
-            panel[s, row + 6 * before + i] = ti.Vector([z[i, j] for j in range(6)])
-        motion[s, a] = pull
+            load = load - y[i] * z[i]
+            block[s, edge, i] = z[i]
+            panel[s, row + 6 * before + i] = z[i]
+        motion[s, a] = load
         half = work.half[s, half, HalfEdge.NEXT]
 
 
@@ -323,10 +324,11 @@ def _eliminate_group(work: Ref, s, k, step, near):
             if a <= b:
                 target = a if a == b else work.node[s, b, Node.MARK] // 2
                 row_b = 6 * width * work.node[s, b, Node.PLACE]
-                rest = work.block[s, target]
-                _subtract(rest, work.panel, s, row_a, row_b, 6 * count)
-                work.block[s, target] = rest
-        work.node[s, a, Node.DEGREE] -= count - 1
+                rest = [1.0 * work.block[s, target, i] for i in range(6)]
+                subtract_product(rest, work.panel, s, row_a, row_b, 6 * count)
+                for i in ti.static(range(6)):
+                    work.block[s, target, i] = rest[i]
+        work.node[s, a, Node.DEGREE] = work.node[s, a, Node.DEGREE] - count + 1
         _enter(work, s, a)
     return count
 
@@ -364,23 +366,18 @@ def _strip(work: Ref, s, nodes, most):
 @ti.func
 def _back(work: Ref, s, k):
     """Find the motion of `k` from those that were eliminated later."""
-    # y - sum_a Z_a u_a
-    rest = work.motion[s, k]
+    # u_k = C^-T (y - sum_a Z_a u_a)
+    rest = 1.0 * work.motion[s, k]
     half = work.node[s, k, Node.FIRST]
     while half >= 0:
-        a = work.half[s, half, HalfEdge.TARGET]
-        edge = half // 2
-        moved = work.motion[s, a]
+        moved = work.motion[s, work.half[s, half, HalfEdge.TARGET]]
         for i in ti.static(range(6)):
+            product = work.block[s, half // 2, i] * moved
             for j in ti.static(range(6)):
-                rest[i] -= moved[j] * work.block[s, edge][i, j]
+                rest[i] = rest[i] - product[j]
         half = work.half[s, half, HalfEdge.NEXT]
-    # u_k = C^-T of that, from the last row to the first
-    for back in ti.static(range(6)):
-        i = ti.static(5 - back)
-        for c in ti.static(range(i + 1, 6)):
-            rest[i] -= work.block[s, k][c, i] * rest[c]
-        rest[i] /= work.block[s, k][i, i]
+    c = [1.0 * work.block[s, k, i] for i in range(6)]
+    solve_upper(c, rest)
     work.motion[s, k] = rest
 
 
@@ -413,22 +410,18 @@ def solve_again(work: Ref, s, nodes):
     """Solve a system that `solve` has eliminated for the loads that `motion` has now."""
     for step in range(nodes):
         k = work.order[s, step, NodeList.PIVOT]
-        factor = work.block[s, k]
-        y = work.motion[s, k]
-        # y = C^-1 f_k, row by row
-        for i in ti.static(range(6)):
-            for c in ti.static(range(i)):
-                y[i] -= factor[i, c] * y[c]
-            y[i] /= factor[i, i]
+        c = [1.0 * work.block[s, k, i] for i in range(6)]
+        y = 1.0 * work.motion[s, k]
+        solve_lower(c, y)
         work.motion[s, k] = y
         # f_a -= Z_a' y
         half = work.node[s, k, Node.FIRST]
         while half >= 0:
             a = work.half[s, half, HalfEdge.TARGET]
-            edge = half // 2
+            load = 1.0 * work.motion[s, a]
             for i in ti.static(range(6)):
-                for j in ti.static(range(6)):
-                    work.motion[s, a][j] -= work.block[s, edge][i, j] * y[i]
+                load = load - y[i] * work.block[s, half // 2, i]
+            work.motion[s, a] = load
             half = work.half[s, half, HalfEdge.NEXT]
     for back in range(nodes):
         _back(work, s, work.order[s, nodes - 1 - back, NodeList.PIVOT])
@@ -465,7 +458,7 @@ class FrameArrays(NamedTuple):
     ends: Ints3
     """What each beam joins, columns of `BeamEnds`, shape (S, B, 4)."""
 
-    stiffness: Blocks
+    stiffness: Reals4
     """Of each beam between its nodes: K_aa, K_ab, K_ba, K_bb, shape (S, 4 B, 6, 6)."""
 
     span: Reals3
@@ -474,8 +467,8 @@ class FrameArrays(NamedTuple):
     arm: Reals3
     """Center to dock [R], shape (S, n N, 3)."""
 
-    weight: Sixes
-    """Force and moment of the weight on each node, shape (S, M, 6)."""
+    weight: Rows
+    """Force and moment of the weight on each node, shape (S, M, 8)."""
 
     slip: Reals3
     """By how much the ground under each dock has moved: a foot that rests on it opens and slides
@@ -498,8 +491,8 @@ class ContactSection(Columns):
 class LoadArrays(NamedTuple):
     """Loads that follow; sizes as in `FrameArrays`."""
 
-    acting: Sixes
-    """Force and moment of contacts and weight on each dock, shape (S, n N, 6)."""
+    acting: Rows
+    """Force and moment of contacts and weight on each dock, shape (S, n N, 8)."""
 
     support: Reals3
     """Force of the second dock, or the ground, on the first of each contact, shape (S, B, 3)."""
@@ -519,7 +512,7 @@ def strip_to_core(
     most: I32, due: Ints1, node_count: Ints1, beam_count: Ints1, ends: Ints3,
     # EliminationArrays
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
-    panel_out: Sixes, motion_out: Sixes,
+    panel_out: Rows, motion_out: Rows,
 ):  # fmt: skip
     """List nodes of few neighbors, by minimum degree, and leave the graph of the others.
 
@@ -562,12 +555,16 @@ def _assemble(frame: Ref, work: Ref, s):
         part = ti.Vector([0, 3, 1 if a < b else 2])
         for n in range(3):
             if block[n] >= 0:
-                work.block[s, block[n]] += frame.stiffness[s, 4 * beam + part[n]]
+                for i in ti.static(range(6)):
+                    row = stiffness_row(frame.stiffness, s, 4 * beam + part[n], i)
+                    work.block[s, block[n], i] = work.block[s, block[n], i] + row
         if b < 0:
             slip = vector_in(frame.slip, s, frame.ends[s, beam, BeamEnds.DOCK_A])
+            load = 1.0 * work.motion[s, a]
             for i in ti.static(range(6)):
                 for c in ti.static(range(3)):
-                    work.motion[s, a][i] -= slip[c] * frame.stiffness[s, 4 * beam + 1][i, c]
+                    load[i] = load[i] - slip[c] * frame.stiffness[s, 4 * beam + 1, i, c]
+            work.motion[s, a] = load
 
 
 @ti.func
@@ -580,11 +577,11 @@ def _split(vector, axis):
 @ti.func
 def _end_load(frame: Ref, motion: Ref, s, beam, end):
     """Find force and moment on an end of a beam: K times how both ends, or the ground, move."""
-    load = ti.Vector.zero(F64, 6)
+    load = ti.Vector.zero(F64, ROW_WIDTH)
     for moving in range(2):
         node = frame.ends[s, beam, BeamEnds.NODE_A + moving]
         part = 4 * beam + 2 * end + moving
-        moved = ti.Vector.zero(F64, 6)
+        moved = ti.Vector.zero(F64, ROW_WIDTH)
         if node >= 0:
             moved = motion[s, node]
         else:
@@ -593,7 +590,7 @@ def _end_load(frame: Ref, motion: Ref, s, beam, end):
                 moved[c] = slip[c]
         for i in ti.static(range(6)):
             for j in ti.static(range(6)):
-                load[i] += moved[j] * frame.stiffness[s, part][i, j]
+                load[i] += moved[j] * frame.stiffness[s, part, i, j]
     return load
 
 
@@ -614,10 +611,12 @@ def _contact_loads(frame: Ref, loads: Ref, motion: Ref, s, beam, is_rigid, radiu
             force = ti.Vector([load[c] for c in range(3)])
             moment = ti.Vector([load[3 + c] for c in range(3)])
             if is_rigid:
-                moment -= vector_in(frame.arm, s, dock).cross(force)
+                moment = moment - vector_in(frame.arm, s, dock).cross(force)
+            acting = 1.0 * loads.acting[s, dock]
             for c in ti.static(range(3)):
-                loads.acting[s, dock][c] -= force[c]
-                loads.acting[s, dock][3 + c] -= moment[c]
+                acting[c] = acting[c] - force[c]
+                acting[3 + c] = acting[3 + c] - moment[c]
+            loads.acting[s, dock] = acting
             if end == 0:
                 section = span if is_foot else 0.5 * span
                 axis = span.normalized()
@@ -654,13 +653,13 @@ def find_loads(
     radius: F64, gravity_x: F64, gravity_y: F64, gravity_z: F64, robots: Ints1, due: Ints1,
     is_solved: I32,
     # FrameArrays
-    node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Blocks, span: Reals3,
-    arm: Reals3, weight: Sixes, slip: Reals3,
+    node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Reals4, span: Reals3,
+    arm: Reals3, weight: Rows, slip: Reals3,
     # EliminationArrays
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
-    panel_out: Sixes, motion_out: Sixes,
+    panel_out: Rows, motion_out: Rows,
     # LoadArrays
-    acting_out: Sixes, support_out: Reals3, stress_out: Reals2, section_out: Reals3,
+    acting_out: Rows, support_out: Reals3, stress_out: Reals2, section_out: Reals3,
     sensed_out: Reals2,
 ):  # fmt: skip
     """Find how structures move under their weight, and the loads in them.
@@ -691,7 +690,7 @@ def find_loads(
             if has_motion:
                 for dock in range(docks * robots[s]):
                     acting_out[s, dock] = ti.Vector(
-                        [gravity_x, gravity_y, gravity_z, 0.0, 0.0, 0.0], F64
+                        [gravity_x, gravity_y, gravity_z, 0.0, 0.0, 0.0, 0.0, 0.0], F64
                     )
                 for beam in range(beam_count[s]):
                     if ends[s, beam, BeamEnds.DOCK_A] >= 0:
@@ -704,11 +703,11 @@ def find_loads(
 def find_foot_stiffness(
     due: Ints1, foot_count: Ints1, foot: Ints2,
     # FrameArrays
-    node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Blocks, span: Reals3,
-    arm: Reals3, weight: Sixes, slip: Reals3,
+    node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Reals4, span: Reals3,
+    arm: Reals3, weight: Rows, slip: Reals3,
     # EliminationArrays, as `find_loads` left them
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
-    panel_out: Sixes, motion_out: Sixes,
+    panel_out: Rows, motion_out: Rows,
     # output
     response_out: Reals3,
 ):  # fmt: skip
@@ -733,13 +732,13 @@ def find_foot_stiffness(
             for column in range(3 * foot_count[n]):
                 moved = foot[n, column // 3]
                 for a in range(node_count[s]):
-                    motion_out[s, a] = ti.Vector.zero(F64, 6)
+                    motion_out[s, a] = ti.Vector.zero(F64, ROW_WIDTH)
                 # The ground moves by a unit vector; K_ab times it loads the foot's node.
                 at = frame.ends[s, moved, BeamEnds.NODE_A]
                 for c in ti.static(range(3)):
                     if column % 3 == c:
                         for i in ti.static(range(6)):
-                            motion_out[s, at][i] = -frame.stiffness[s, 4 * moved + 1][i, c]
+                            motion_out[s, at][i] = -frame.stiffness[s, 4 * moved + 1, i, c]
                 solve_again(work, s, node_count[s])
                 for g in range(foot_count[n]):
                     beam = foot[n, g]
@@ -747,8 +746,8 @@ def find_foot_stiffness(
                     for i in ti.static(range(3)):
                         force = 0.0
                         for j in ti.static(range(6)):
-                            force += frame.stiffness[s, 4 * beam + 2][i, j] * motion[j]
+                            force += frame.stiffness[s, 4 * beam + 2, i, j] * motion[j]
                         for c in ti.static(range(3)):
                             if beam == moved and column % 3 == c:
-                                force += frame.stiffness[s, 4 * beam + 3][i, c]
+                                force += frame.stiffness[s, 4 * beam + 3, i, c]
                         response_out[n, 3 * g + i, column] = force

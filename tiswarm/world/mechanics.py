@@ -38,9 +38,10 @@ from scipy.sparse.csgraph import connected_components
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.params import STRICT, UNLESS_SET
 from tiswarm.compute import backend
-from tiswarm.compute.numerics import optimized_by_llvm
+from tiswarm.compute.numerics import aligned_zeros, native_vectors, optimized_by_llvm
 from tiswarm.records.messages import shown
 from tiswarm.world import dissection, frame_kernels, rest
+from tiswarm.world.block_kernels import ROW_WIDTH
 from tiswarm.world.panels import PanelSolver
 
 GRAVITY = 9.80665
@@ -164,7 +165,7 @@ class MechanicsParams:
     ] = "minimum-degree"
     """Order in which nodes of a structure are eliminated when forces are computed: always one with
     the fewest neighbors (minimum-degree), or by METIS (nested-dissection), which takes less time
-    from some 10,000 robots on and needs `pip install tiswarm[large]`. Forces are the same but for
+    from some 30,000 robots on and needs `pip install tiswarm[large]`. Forces are the same but for
     rounding. Goes with `ground: holds`."""
 
     def __post_init__(self) -> None:
@@ -304,7 +305,7 @@ class Frames:
             stiffness=np.empty((structures, 4 * beams, _SIDE, _SIDE)),
             span=np.empty((structures, beams, 3)),
             arm=np.zeros((structures, docks * robots, 3)),  # read, and not used, for the ground
-            weight=np.zeros((structures, nodes, _SIDE)),
+            weight=aligned_zeros(structures, nodes, ROW_WIDTH),
             slip=np.zeros((structures, docks * robots, 3)),
         )
         self.work = frame_kernels.EliminationArrays(
@@ -312,12 +313,12 @@ class Frames:
             order=np.empty((structures, nodes + 1, frame_kernels.NodeList.TOTAL), np.int32),
             half=np.empty((structures, 10 * nodes, frame_kernels.HalfEdge.TOTAL), np.int32),
             block_count=np.zeros(structures, np.int32),
-            block=np.empty((structures, 5 * nodes, _SIDE, _SIDE)),
-            panel=np.empty((structures, _SIDE * nodes, _SIDE)),
-            motion=np.empty((structures, nodes, _SIDE)),
+            block=aligned_zeros(structures, 5 * nodes, _SIDE, ROW_WIDTH),
+            panel=aligned_zeros(structures, _SIDE * nodes, ROW_WIDTH),
+            motion=aligned_zeros(structures, nodes, ROW_WIDTH),
         )
         self.load_arrays = frame_kernels.LoadArrays(
-            acting=np.empty((structures, docks * robots, _SIDE)),
+            acting=aligned_zeros(structures, docks * robots, ROW_WIDTH),
             support=np.empty((structures, beams, 3)),
             stress=np.empty((structures, beams)),
             section=np.empty((structures, beams, frame_kernels.ContactSection.TOTAL)),
@@ -437,7 +438,7 @@ class Frames:
         self.frame.node_count[:] = self.robots
         self.frame.weight[of, robot, :3] = arm.shape[1] * self.down
         # Docks weigh, not the center: their weights turn the body about it.
-        self.frame.weight[of, robot, 3:] = np.cross(arm.sum(axis=1), self.down)
+        self.frame.weight[of, robot, 3:_SIDE] = np.cross(arm.sum(axis=1), self.down)
 
     def _add_links(self, of: AnyInts, robot: AnyInts, arm: Reals) -> None:
         """Add robots that bend: a node for the center, one for each dock, and the links between."""
@@ -529,7 +530,7 @@ class Frames:
     ) -> None:
         """Eliminate nodes of some structures; again, with more room, where fill-in needs it."""
         while len(due):
-            with optimized_by_llvm():
+            with optimized_by_llvm(), native_vectors():
                 eliminate(due)
             # The kernel counted the blocks that fill-in needs: what had too little room is due.
             due = due[self.work.block_count[due] > self.work.block.shape[1]]
@@ -577,7 +578,7 @@ class Frames:
         able = np.flatnonzero(~self.gone[structure, : self.robots[structure]])
         robots, docks = self.gone.shape[1], self.dock.shape[2]
         # The center is the first node of a robot; in the rigid model its docks weigh on it, too.
-        center = self.frame.weight[structure].reshape(robots, -1, _SIDE)[:, 0, :3]
+        center = self.frame.weight[structure].reshape(robots, -1, ROW_WIDTH)[:, 0, :3]
         before = self.carrier[structure]
         weight_of_one = docks * self.down if self.rigid else np.zeros(3)
         if before >= 0:
@@ -662,9 +663,10 @@ class Frames:
         for row, beams in zip(beam, feet.values(), strict=True):
             row[: len(beams)] = beams
         response = np.zeros((len(count), 3 * beam.shape[1], 3 * beam.shape[1]))
-        frame_kernels.find_foot_stiffness(
-            np.array([*feet], np.int32), count, beam, *self.frame, *self.work, response
-        )
+        with optimized_by_llvm(), native_vectors():
+            frame_kernels.find_foot_stiffness(
+                np.array([*feet], np.int32), count, beam, *self.frame, *self.work, response
+            )
         for unknowns, of_structure in zip((3 * count).tolist(), response, strict=True):
             yield of_structure[:unknowns, :unknowns]
 
@@ -730,7 +732,9 @@ def _doubled(arrays: Any, *names: str) -> Any:  # noqa: ANN401 - a bundle
     doubled = {}
     for name in names:
         array = getattr(arrays, name)
-        doubled[name] = np.concatenate([array, array], axis=1)
+        rows, columns, *rest = array.shape
+        doubled[name] = aligned_zeros(rows, 2 * columns, *rest, dtype=array.dtype)
+        doubled[name][:, :columns] = array
     return arrays._replace(**doubled)
 
 

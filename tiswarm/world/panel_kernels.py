@@ -7,22 +7,23 @@ eliminated. What the nodes of a panel take from its rows is its update: it is ad
 of the panel that has the first of these rows. Panels follow each other so that updates form a
 stack (multifrontal method, Duff and Reid, 1983).
 
-A block K_ij of a front, where node i goes before node j, is six rows of eight numbers: compilers
-keep such a row in registers, whose numbers are added and multiplied at once. The last two are 0.
+A block K_ij of a front is one of `block_kernels`; node i goes before node j.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
-from tiswarm.compute.lang import F64, Columns, Ints1, Ints2, Reals3, Ref, ti
+from tiswarm.compute.lang import F64, Columns, Ints1, Ints2, Reals4, Ref, ti
+from tiswarm.world.block_kernels import (
+    ROW_WIDTH,
+    Rows,
+    factorize,
+    solve_lower,
+    solve_rows,
+    solve_upper,
+    stiffness_row,
+    subtract_product,
+)
 from tiswarm.world.frame_kernels import BeamEnds
-
-ROW_WIDTH = 8
-"""Numbers in a row of a block."""
-
-if TYPE_CHECKING:
-    Rows = Any
-else:
-    Rows = ti.types.ndarray(dtype=ti.types.vector(ROW_WIDTH, ti.f64), ndim=1)
 
 
 class OrderedNode(Columns):
@@ -104,7 +105,7 @@ class PanelArrays(NamedTuple):
 
 
 class FactorArrays(NamedTuple):
-    """Blocks, six rows each, that begin at a multiple of 64 bytes."""
+    """Blocks, six rows each, that begin at a multiple of 64 bytes, shape (1, rows, 8)."""
 
     factor: Rows
     """K_ij, then Z or C', of the nodes i of a panel and all nodes j of its front: those of a j in
@@ -117,7 +118,7 @@ class FactorArrays(NamedTuple):
     """Blocks K_ij between rows i <= j of the present front, those of a j in succession."""
 
     motion: Rows
-    """f of each node; then u, shape (M,)."""
+    """f of each node; then u, shape (1, M, 8)."""
 
 
 @ti.func
@@ -219,9 +220,9 @@ def _assign(arrays: Ref, k, first, count, panels):
         _sort(arrays, first, count)
     else:
         node[panel[p, Panel.LAST], OrderedNode.FOLLOWING] = k
-        panel[p, Panel.NODES] += 1
-        panel[p, Panel.ROW] += 1
-        panel[p, Panel.ROWS] -= 1
+        panel[p, Panel.NODES] = panel[p, Panel.NODES] + 1
+        panel[p, Panel.ROW] = panel[p, Panel.ROW] + 1
+        panel[p, Panel.ROWS] = panel[p, Panel.ROWS] - 1
     panel[p, Panel.LAST] = k
     panel[p, Panel.PARENT] = -1
     child = node[k, OrderedNode.PANEL]
@@ -255,7 +256,7 @@ def _reserve(arrays: Ref, p, stack):
     nodes = panel[p, Panel.NODES]
     rows = panel[p, Panel.ROWS]
     panel[p, Panel.BLOCK] = total[Total.FACTOR]
-    total[Total.FACTOR] += nodes * (nodes + rows)
+    total[Total.FACTOR] = total[Total.FACTOR] + nodes * (nodes + rows)
     child = panel[p, Panel.CHILD]
     while child >= 0:
         stack -= _triangle(panel[child, Panel.ROWS])
@@ -325,17 +326,14 @@ def find_panels(
 def _clear(rows: Ref, first, count):
     """Set rows to 0."""
     for n in range(first, first + count):
-        rows[n] = ti.Vector.zero(F64, ROW_WIDTH)
+        rows[0, n] = ti.Vector.zero(F64, ROW_WIDTH)
 
 
 @ti.func
 def _add_stiffness(rows: Ref, first, stiffness: Ref, part):
     """Add a block of a beam's stiffness to six rows."""
     for i in ti.static(range(6)):
-        rows[first + i] = rows[first + i] + ti.Vector([
-            stiffness[part, i, 0], stiffness[part, i, 1], stiffness[part, i, 2],
-            stiffness[part, i, 3], stiffness[part, i, 4], stiffness[part, i, 5], 0.0, 0.0,
-        ])  # fmt: skip
+        rows[0, first + i] = rows[0, first + i] + stiffness_row(stiffness, 0, part, i)
 
 
 @ti.func
@@ -381,23 +379,17 @@ def _add_updates(arrays: Ref, work: Ref, p):
                 if i < nodes:
                     first = 6 * (block + nodes * j + i)
                     for c in ti.static(range(6)):
-                        work.factor[first + c] = work.factor[first + c] + work.update[source + c]
+                        work.factor[0, first + c] = (
+                            work.factor[0, first + c] + work.update[0, source + c]
+                        )
                 else:
                     first = 6 * (_triangle(j - nodes) + i - nodes)
                     for c in ti.static(range(6)):
-                        work.front[first + c] = work.front[first + c] + work.update[source + c]
+                        work.front[0, first + c] = (
+                            work.front[0, first + c] + work.update[0, source + c]
+                        )
                 source += 6
         child = arrays.panel[child, Panel.SIBLING]
-
-
-@ti.func
-def _subtract(rest: Ref, factor: Ref, first_a, first_b, rows):
-    """Subtract Z_a' Z_b from six rows; Z_a and Z_b have so many rows, from the first ones on."""
-    for row in range(rows):
-        z_a = factor[first_a + row]
-        z_b = factor[first_b + row]
-        for i in ti.static(range(6)):
-            rest[i] = rest[i] - z_a[i] * z_b
 
 
 @ti.func
@@ -409,36 +401,28 @@ def _eliminate(arrays: Ref, work: Ref, p, n, k):
     row = arrays.panel[p, Panel.ROW]
     block = arrays.panel[p, Panel.BLOCK]
     pivot = 6 * (block + nodes * n)
-    c = [1.0 * factor[pivot + 6 * n + i] for i in range(6)]
-    _subtract(c, factor, pivot, pivot, 6 * n)
-    y = 1.0 * motion[k]
-    # Row i of C': (K_i - sum of C_it times row t) / C_ii. What is below its diagonal is not used.
+    c = [1.0 * factor[0, pivot + 6 * n + i] for i in range(6)]
+    subtract_product(c, factor, 0, pivot, pivot, 6 * n)
+    factorize(c)
+    y = 1.0 * motion[0, k]
+    solve_lower(c, y)
     for i in ti.static(range(6)):
-        for t in ti.static(range(i)):
-            c[i] = c[i] - c[t][i] * c[t]
-        # NaN also where rounding makes a pivot 0.
-        c[i] = c[i] / ti.select(c[i][i] > 0.0, ti.sqrt(c[i][i]), ti.math.nan)
-        y_i = y[i]
-        for t in ti.static(range(i)):
-            y_i -= c[t][i] * y[t]
-        y[i] = y_i / c[i][i]
-        factor[pivot + 6 * n + i] = c[i]
-    motion[k] = y
+        factor[0, pivot + 6 * n + i] = c[i]
+    motion[0, k] = y
     a = arrays.node[k, OrderedNode.FOLLOWING]
     for j in range(n + 1, nodes + arrays.panel[p, Panel.ROWS]):
         if j >= nodes:
             a = arrays.row[row + j - nodes]
         first = 6 * (block + nodes * j)
-        z = [1.0 * factor[first + 6 * n + i] for i in range(6)]
-        _subtract(z, factor, pivot, first, 6 * n)
-        pull = 1.0 * motion[a]
+        z = [1.0 * factor[0, first + 6 * n + i] for i in range(6)]
+        subtract_product(z, factor, 0, pivot, first, 6 * n)
+        solve_rows(c, z)
+        # f_a -= Z_a' y
+        load = 1.0 * motion[0, a]
         for i in ti.static(range(6)):
-            for t in ti.static(range(i)):
-                z[i] = z[i] - c[t][i] * z[t]
-            z[i] = z[i] / c[i][i]
-            pull = pull - y[i] * z[i]
-            factor[first + 6 * n + i] = z[i]
-        motion[a] = pull
+            load = load - y[i] * z[i]
+            factor[0, first + 6 * n + i] = z[i]
+        motion[0, a] = load
         a = arrays.node[a, OrderedNode.FOLLOWING]
 
 
@@ -451,10 +435,12 @@ def _put_on_stack(arrays: Ref, work: Ref, p):
     source = 0
     for b in range(arrays.panel[p, Panel.ROWS]):
         for a in range(b + 1):
-            rest = [1.0 * work.front[source + i] for i in range(6)]
-            _subtract(rest, work.factor, first + 6 * nodes * a, first + 6 * nodes * b, 6 * nodes)
+            rest = [1.0 * work.front[0, source + i] for i in range(6)]
+            subtract_product(
+                rest, work.factor, 0, first + 6 * nodes * a, first + 6 * nodes * b, 6 * nodes
+            )
             for i in ti.static(range(6)):
-                work.update[target + source + i] = rest[i]
+                work.update[0, target + source + i] = rest[i]
             source += 6
 
 
@@ -470,28 +456,27 @@ def _back(arrays: Ref, work: Ref, p, n, k):
     for j in range(n + 1, nodes + arrays.panel[p, Panel.ROWS]):
         if j >= nodes:
             a = arrays.row[arrays.panel[p, Panel.ROW] + j - nodes]
-        u = motion[a]
+        u = motion[0, a]
         first = 6 * (block + nodes * j + n)
         for i in ti.static(range(6)):
-            products[i] = products[i] + factor[first + i] * u
+            products[i] = products[i] + factor[0, first + i] * u
         a = arrays.node[a, OrderedNode.FOLLOWING]
-    # u_k = C^-T (y - sum_a Z_a u_a), from the last row to the first
-    u = 1.0 * motion[k]
-    pivot = 6 * (block + nodes * n + n)
-    for back in ti.static(range(6)):
-        i = ti.static(5 - back)
+    # u_k = C^-T (y - sum_a Z_a u_a)
+    u = 1.0 * motion[0, k]
+    for i in ti.static(range(6)):
         u_i = u[i]
         for j in ti.static(range(6)):
             u_i -= products[i][j]
-        for j in ti.static(range(i + 1, 6)):
-            u_i -= factor[pivot + i][j] * u[j]
-        u[i] = u_i / factor[pivot + i][i]
-    motion[k] = u
+        u[i] = u_i
+    pivot = 6 * (block + nodes * n + n)
+    c = [1.0 * factor[0, pivot + i] for i in range(6)]
+    solve_upper(c, u)
+    motion[0, k] = u
 
 
 @ti.kernel
 def solve_by_panels(
-    ends: Ints2, stiffness: Reals3,
+    ends: Ints2, stiffness: Reals4,
     # PanelArrays, as `find_panels` left them
     node_out: Ints2, next_beam: Ints1, panel: Ints2, row: Ints1, sequence: Ints1, total: Ints1,
     # FactorArrays
@@ -501,7 +486,7 @@ def solve_by_panels(
 
     Args:
         ends: What beams join, columns of `BeamEnds`, shape (B, 4).
-        stiffness: Of beams, as in `FrameArrays`, shape (4 B, 6, 6).
+        stiffness: Of beams, as in `FrameArrays`, shape (1, 4 B, 6, 6).
     """
     arrays = ti.static(PanelArrays(node_out, next_beam, panel, row, sequence, total))
     work = ti.static(FactorArrays(factor_out, update_out, front_out, motion_out))

@@ -3,12 +3,10 @@
 import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Reals
-from tiswarm.compute.numerics import native_vectors, optimized_by_llvm
+from tiswarm.compute.numerics import aligned_zeros, native_vectors, optimized_by_llvm
 from tiswarm.world import panel_kernels
-from tiswarm.world.panel_kernels import ROW_WIDTH, FactorArrays, OrderedNode, Panel, Total
-
-_CACHE_LINE = 64
-"""Rows begin at a multiple of so many bytes: vectors of their size need that."""
+from tiswarm.world.block_kernels import ROW_WIDTH
+from tiswarm.world.panel_kernels import FactorArrays, OrderedNode, Panel, Total
 
 _SPARE = 1.5
 """Room to reserve, in parts of what is needed: structures grow."""
@@ -28,10 +26,11 @@ class PanelSolver:
             order: Nodes in the order of elimination, shape (M,).
             ends: What beams join, columns of `frame_kernels.BeamEnds`, shape (B, 4).
             stiffness: Of each beam between its nodes: K_aa, K_ab, K_ba, K_bb, shape (4 B, 6, 6).
-            load: Force and moment on each node, shape (M, 6).
+            load: Force and moment on each node, and two zeros, shape (M, 8).
 
         Returns:
-            Displacements and rotations, shape (M, 6); NaN where nothing holds the structure.
+            Displacements and rotations, and two numbers of no meaning, shape (M, 8); NaN where
+            nothing holds the structure.
         """
         nodes = len(order)
         total = np.zeros(Total.TOTAL, np.int32)
@@ -50,13 +49,11 @@ class PanelSolver:
                 arrays = arrays._replace(row=self.row)
                 panel_kernels.find_panels(order, ends, *arrays)
             self._reserve(total, nodes)
-            motion = self.work.motion[:nodes]
-            motion[:] = 0.0
-            motion[:, : load.shape[1]] = load
+            motion: Reals = self.work.motion[0, :nodes]
+            motion[:] = load
             with native_vectors():
-                panel_kernels.solve_by_panels(ends, stiffness, *arrays, *self.work)
-        moved: Reals = motion[:, : load.shape[1]]
-        return moved
+                panel_kernels.solve_by_panels(ends, stiffness[None], *arrays, *self.work)
+        return motion
 
     def _reserve(self, total: AnyInts, nodes: int) -> None:
         """Make room for a structure of so many nodes."""
@@ -68,16 +65,12 @@ class PanelSolver:
         )
         self.work = FactorArrays(
             *(
-                rows if len(rows) >= count else _rows(int(_SPARE * count))
+                rows if rows.shape[1] >= count else _rows(int(_SPARE * count))
                 for rows, count in zip(self.work, needed, strict=True)
             )
         )
 
 
 def _rows(count: int) -> Reals:
-    """Reserve so many rows of blocks, at least one, shape (count, 8)."""
-    numbers = max(count, 1) * ROW_WIDTH
-    spare = _CACHE_LINE // np.dtype(np.float64).itemsize
-    room: Reals = np.empty(numbers + spare)
-    first = -room.ctypes.data % _CACHE_LINE // room.itemsize
-    return room[first : first + numbers].reshape(-1, ROW_WIDTH)
+    """Reserve so many rows of blocks, at least one, shape (1, count, 8)."""
+    return aligned_zeros(1, max(count, 1), ROW_WIDTH)
