@@ -45,6 +45,28 @@ def test_an_array_frees_nothing_after_its_program_has_ended(monkeypatch):
     assert freed == [(8,)]
 
 
+@pytest.mark.parametrize("shape", [(5,), (2, 3), (4, 0, 3), (2, 3, 4)])
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+def test_arrays_on_a_processor_are_copied_without_kernels(shape, precision, monkeypatch):
+    """The library compiles one for each type and number of axes, 10 ms each at every start."""
+    allocator = Allocator(backend.start(threads=1, precision=precision), on_host=False)
+    kernel = type(probe_arithmetic._primal)  # noqa: SLF001 - the library shows none
+    monkeypatch.setattr(kernel, "__call__", lambda *_: pytest.fail("a kernel ran"))
+    reals = np.arange(math.prod(shape), dtype=np.float64).reshape(shape) / 3.0
+    ints = np.arange(math.prod(shape), dtype=np.int64).reshape(shape)
+
+    real = allocator.upload(reals)
+    whole = allocator.upload(ints)
+    copied = allocator.reals(*shape)
+    allocator.copy(real, copied)
+    allocator.refill(real, 2.0 * reals)
+
+    dtype = np.dtype(precision.replace("f", "float"))
+    np.testing.assert_array_equal(allocator.download(copied), reals.astype(dtype), strict=True)
+    np.testing.assert_array_equal(allocator.download(real), (2.0 * reals).astype(dtype))
+    np.testing.assert_array_equal(allocator.download(whole), ints.astype(np.int32), strict=True)
+
+
 def test_an_array_keeps_no_traceback_of_where_it_was_reserved(monkeypatch):
     """To format one takes longer than to reserve the array; nothing shows it."""
     allocator = Allocator(backend.start(threads=1), on_host=False)

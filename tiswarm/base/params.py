@@ -6,14 +6,14 @@ A parameter is defined once, in the room that uses it, as a frozen dataclass:
     class VirtualForceParams: ...
 
 with `dataclass` from pydantic. The scenario nests these classes, so YAML files and Python calls
-undergo the same checks. The JSON Schema quotes the docstrings of the fields.
+undergo the same checks. `tiswarm schema` quotes the docstrings of the fields.
 """
 
 from typing import Literal, get_args
 
 from pydantic import ConfigDict, Field
 
-STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
 UNLESS_SET = Field(exclude_if=lambda value: value is None)
 """Of a key that is not written where it is null: runs without it keep their hashes, which name

@@ -43,6 +43,9 @@ from tiswarm.compute.math_kernels import probe_arithmetic
 _PROGRAM = "prog" if LIBRARY == "taichi" else "_prog"
 """Where the library's record of a program has the program itself; it has None after its end."""
 
+_TYPES = {ti.i32: np.int32, ti.i64: np.int64, ti.f32: np.float32, ti.f64: np.float64}
+"""Types on the host of the library's types."""
+
 _QUIET = {"TI_SKIP_VERSION_CHECK": "ON"}
 """Variables while a program starts: taichi would ask a server of its makers for a newer version."""
 
@@ -167,6 +170,13 @@ class Array(ti.ScalarNdarray):  # type: ignore[misc]  # it has no types
         runtime = self.runtime()
         if runtime is not None and _program_of(runtime) is not None:
             super().__del__()
+
+
+def _address_of(array: Array) -> int:
+    """Return where the memory of an array of our program begins."""
+    program = _program_of(ti.lang.impl.get_runtime())
+    address: int = program.get_ndarray_data_ptr_as_int(array.arr)
+    return address
 
 
 def _program_of(runtime: Any) -> Any:  # noqa: ANN401 - the library has no types
@@ -538,16 +548,16 @@ class Allocator:
 
     def refill(self, array: DeviceArray, values: NDArray[Any]) -> None:
         """Copy values into an array that is there; reserving one takes a millisecond."""
-        if self.on_host:
-            array[...] = values
+        if not self.running.on_card:
+            self._in_memory(array)[...] = values
         else:
             real = array.dtype != ti.i32
             array.from_numpy(np.array(values, self.running.dtype if real else np.int32, order="C"))
 
     def copy(self, source: DeviceArray, target: DeviceArray) -> None:
         """Copy an array of ours into another of the same shape."""
-        if self.on_host:
-            target[...] = source
+        if not self.running.on_card:
+            self._in_memory(target)[...] = self._in_memory(source)
         else:
             target.copy_from(source)
 
@@ -557,11 +567,28 @@ class Allocator:
         It ends with the device, as all arrays do.
         """
         ti.sync()  # who takes it may read at once
-        address = _program_of(ti.lang.impl.get_runtime()).get_ndarray_data_ptr_as_int(array.arr)
+        address = _address_of(array)
         device = dlpack.CUDA if self.running.on_card else dlpack.CPU
         return ExportedArray(address, tuple(array.shape), self.dtype_of(array), device, array)
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
         """Copy an array back to the host."""
-        values: NDArray[Any] = array.copy() if self.on_host else array.to_numpy()
+        if not self.running.on_card:
+            return self._in_memory(array).copy()
+        values: NDArray[Any] = array.to_numpy()
         return values
+
+    def _in_memory(self, array: DeviceArray) -> NDArray[Any]:
+        """Return an array on the processor as it lies there, while our program runs.
+
+        The library copies arrays by kernels, each compiled for a type and a number of axes.
+        """
+        if self.on_host:
+            of_host: NDArray[Any] = array
+            return of_host
+        ti.sync()  # kernels may still write to it
+        address = _address_of(array)
+        dtype = np.dtype(_TYPES[array.dtype])
+        size = dtype.itemsize * int(np.prod(array.shape))
+        memory = memoryview((ctypes.c_char * size).from_address(address))
+        return np.ndarray(array.shape, dtype, memory)

@@ -100,7 +100,6 @@ def _with(keys: Mapping[str, Key], base: type[BaseModel]) -> Any:  # noqa: ANN40
     """Add keys to a model; all but contacts may be left out or null."""
     kinds: dict[str, Any] = {}
     namespace: dict[str, Any] = {"__module__": __name__, "__annotations__": kinds}
-    namespace["model_config"] = ConfigDict(use_attribute_docstrings=False)  # slow to look for
     for name, key in keys.items():
         text = key.meaning if base is _RobotFields else None
         if name == _STATED:
@@ -445,4 +444,6 @@ def parse_line(line: Line, header: HeaderLine) -> SensingLine:
 
 def line_schema() -> dict[str, object]:
     """Return the JSON Schema of a line: the header, a robot or an event."""
-    return TypeAdapter(HeaderLine | SensingLine).json_schema()
+    from tiswarm.base.sections import Described  # noqa: PLC0415 - of no other use here
+
+    return TypeAdapter(HeaderLine | SensingLine).json_schema(schema_generator=Described)

@@ -25,7 +25,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT, UNLESS_SET, Arch
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.base.sections import mistake_at
+from tiswarm.base.sections import Described, mistake_at
 from tiswarm.localization.methods import LocalizationParams
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario import validation
@@ -277,7 +277,7 @@ def _stated(scenario: Scenario) -> validation.Plain:
 def scenario_schema() -> validation.Plain:
     """Return the JSON Schema of a scenario file, for editors."""
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    schema = ADAPTER.json_schema()
+    schema = ADAPTER.json_schema(schema_generator=Described)
     schema["required"].remove("structure")  # studies of the engine have none
     return {**dialect, **schema}
 

@@ -158,6 +158,30 @@ def test_open3d_imports_web_servers_when_they_are_called(tmp_path, monkeypatch):
     assert web in sys.modules
 
 
+def test_open3d_imports_data_sets_when_they_are_used(tmp_path, monkeypatch):
+    """They bring scikit-learn, more than half of the time that is left."""
+    data_sets = "open3d._ml3d.datasets"
+    for folder in ("ml", "_ml3d"):
+        (tmp_path / "open3d" / folder).mkdir(parents=True)
+    (tmp_path / "open3d" / "__init__.py").write_text("import open3d.ml\n")
+    (tmp_path / "open3d" / "ml" / "__init__.py").write_text("from . import datasets\n")
+    (tmp_path / "open3d" / "ml" / "datasets.py").write_text(f"from {data_sets} import *\n")
+    (tmp_path / "open3d" / "_ml3d" / "__init__.py").touch()
+    (tmp_path / "open3d" / "_ml3d" / "datasets.py").write_text("class KITTI:\n    pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for each in ("open3d", "open3d.ml", "open3d.ml.datasets", "open3d._ml3d", data_sets):
+        monkeypatch.setitem(sys.modules, each, None)  # undone in the end
+        del sys.modules[each]
+
+    found = raycast.load_open3d()
+    is_loaded = data_sets in sys.modules
+
+    assert not is_loaded
+    assert found.ml.datasets.KITTI.__module__ == data_sets
+    with pytest.raises(AttributeError, match="no attribute 'Mars'"):
+        _ = found.ml.datasets.Mars
+
+
 def test_a_chosen_renderer_is_not_replaced(run_folder, broken_open3d):
     """It fails with advice, and nothing is drawn."""
     with pytest.raises(EnvironmentTroubleError, match=r"libodd\.so\.1.*`tiswarm doctor`"):

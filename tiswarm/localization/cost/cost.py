@@ -445,15 +445,16 @@ class WholeCost(Cost[Linear]):
         residual, direction = rows.linearized(state.position)
         noise = self._no_noise
         final = np.empty((0, 3))
-        yaw = np.empty(0)
+        yaw: Reals = np.empty(0)
         turning: Reals = np.empty(0)
         if self.has_turns:
             last = np.where(self.is_walked[:, None], reached[self.walks.final[rows.robot]], part)
             sd = self._turn_sd[self.walks.final[self.owner[self.of_final]]]
-            ends = np.concatenate([last, -rows.neighbor_arm])
-            final = _by_turns(direction[self.row], ends)[self.of_final] * sd
+            ends = np.concatenate([last, -rows.neighbor_arm])[self.of_final]
+            final = _by_turns(direction[self.row[self.of_final]], ends) * sd
+        if len(self.of_yaw):
             arms = np.concatenate([rows.arm, -rows.neighbor_arm])
-            yaw = -_by_turns(direction[self.row], arms)[self.of_yaw, 2]
+            yaw = -_by_turns(direction[self.row], arms)[:, 2]
         if len(self._related.rows):
             noise = self._noise(direction, part, reached)
             away = state.earlier - self.prior_mean.earlier

@@ -176,7 +176,7 @@ class Linear:
         if self.is_dense:
             total = information.toarray()
             for column, part in parts:
-                total[np.ix_(column, column)] += part
+                total[column[:, None], column] += part
             return total
         if len(self.walked):
             information = information + summed(parts, len(self.precision))

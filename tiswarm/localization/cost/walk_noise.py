@@ -262,11 +262,15 @@ class WalkNoise:
         """Multiply values of rows (n,) by the transposed derivatives, shape (M, 3)."""
         if not len(value):
             return np.zeros((self.earlier, AXES))
-        by_row = csr_array(
-            (value, (self.of.stance, np.arange(len(value)))), (len(self.shift), len(value))
-        )
-        of_center = np.asarray(by_row @ self.center)
-        of_turn = np.asarray(by_row @ self.turn)
+        stance = self.of.stance
+        stances = len(self.shift)
+
+        def of_stances(slope: Reals) -> Reals:
+            parts = [np.bincount(stance, value * part, stances) for part in slope.T]
+            return np.stack(parts, axis=1)
+
+        of_center = of_stances(self.center)
+        of_turn = of_stances(self.turn)
         of_earlier = self.of.odometry.sums_of_earlier(of_center)
         every = of_turn + (of_earlier[:, None] @ self.shift)[:, 0]
         return np.asarray(every[self.of.odometry.is_earlier])
@@ -406,7 +410,9 @@ def summed(parts: Iterable[tuple[Ints, Reals]], unknowns: int) -> csc_array:
             part = csc_array(sums.pop()[1] + part)
             count *= 2
         sums.append((count, part))
-    total = csc_array((unknowns, unknowns))
+    if not sums:
+        return csc_array((unknowns, unknowns))
+    total = sums.pop()[1]
     for _, part in reversed(sums):
         total = csc_array(total + part)
     return total

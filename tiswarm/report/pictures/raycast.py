@@ -48,6 +48,7 @@ _LONGEST_S = 120.0
 """Time that the import may take, on a slow disk that has not read it before."""
 
 _WEB = "open3d.visualization.draw_plotly"
+_DATA_SETS = "open3d._ml3d.datasets"
 
 _TRIAL = f"""
 import resource
@@ -73,8 +74,8 @@ def import_open3d() -> Any:  # noqa: ANN401 - open3d has no types
 def load_open3d() -> Any:  # noqa: ANN401 - open3d has no types
     """Import open3d, after the library that `libusb_package` brings, where it is installed.
 
-    Its module of web servers imports dash, plotly and IPython, which take most of the time: here it
-    waits for the first call.
+    Its module of web servers imports dash, plotly and IPython, and its data sets import
+    scikit-learn, which take most of the time: here both wait for their first use.
     """
     if sys.modules.get("open3d") is not None:
         return sys.modules["open3d"]
@@ -82,14 +83,22 @@ def load_open3d() -> Any:  # noqa: ANN401 - open3d has no types
         import libusb_package  # noqa: PLC0415 - optional
 
         ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    stand_in = ModuleType(_WEB)
-    stand_in.__getattr__ = _on_call  # type: ignore[method-assign]
-    sys.modules[_WEB] = stand_in
+    stand_ins = {name: ModuleType(name) for name in (_WEB, _DATA_SETS)}
+    stand_ins[_WEB].__getattr__ = _on_call  # type: ignore[method-assign]
+    sys.modules |= stand_ins
     try:
         import open3d
     finally:
-        del sys.modules[_WEB]
+        for name in stand_ins:
+            del sys.modules[name]
+    if data_sets := sys.modules.get("open3d.ml.datasets"):
+        data_sets.__getattr__ = _of_data_sets  # type: ignore[method-assign]
     return open3d
+
+
+def _of_data_sets(name: str) -> Any:  # noqa: ANN401 - of open3d
+    """Import the module of data sets, and return what it calls so."""
+    return getattr(importlib.import_module(_DATA_SETS), name)
 
 
 def _on_call(name: str) -> Callable[..., Any]:
@@ -401,7 +410,8 @@ def _cast_chunk(
     ground = scene.ground
     if ground is not None:
         first, last = scene.camera.frame(ground.corners)
-        near = ((pixels >= first) & (pixels <= last)).all(axis=1)
+        within = (pixels >= first) & (pixels <= last)
+        near = within[:, 0] & within[:, 1]
         # Only uneven ground may be seen from below the horizontal.
         near &= (direction[:, 2] < 0.0) | (ground.surface is not None)
         low = np.flatnonzero(near & (ground.is_solid | (seen < 0)))
