@@ -17,6 +17,7 @@ from tiswarm.world.climb_kernels import (
     Site,
     crossing_angles,
     first_met,
+    turn_about,
 )
 from tiswarm.world.growth import grow
 from tiswarm.world.params import ClimbParams, TowerParams
@@ -74,10 +75,8 @@ def _first_met(
         aim = ti.Vector([gains[0, 0], gains[0, 1], least, limits.min_flip])
         pivot = ti.Vector([0.0, 0.0, 100.0])
         unturned = ti.Vector([1.0, 0.0, 0.0, 0.0])
-        first = first_met(
-            limits, body, unturned, 0, -1, vector_at(axis, 0), pivot, obstacles, way,
-            near.shape[1], aim,
-        )  # fmt: skip
+        turn = turn_about(vector_at(axis, 0), 0, unturned, pivot)
+        first = first_met(limits, body, turn, obstacles, way, near.shape[1], aim)
         angles[0, 0], angles[0, 1] = first[0], first[1]
 
 

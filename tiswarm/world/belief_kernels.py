@@ -43,6 +43,7 @@ from tiswarm.world.climb_kernels import (
     revisits,
     sensed_orientation,
     site_of,
+    turn_about,
 )
 from tiswarm.world.rule_kernels import FlipArrays
 
@@ -216,13 +217,13 @@ def _plans_about(
         first = ti.Vector([0.0, 0.0], F64)
         if is_local:
             among = ti.min(hinge.obstacles, climbers.obstacle.shape[1])
-            first = first_met(limits, body, q, k, -1, axis, pivot, obstacle, m, among, anywhere)
+            turn = turn_about(axis, k, q, pivot)
+            first = first_met(limits, body, turn, obstacle, m, among, anywhere)
         else:
             place = pivot + hinge.by
             among = hinge.count
-            first = first_met(
-                limits, body, sensed, k, -1, sensed_axis, place, near, m, among, anywhere
-            )
+            turn = turn_about(sensed_axis, k, sensed, place)
+            first = first_met(limits, body, turn, near, m, among, anywhere)
         for way in ti.static(range(2)):
             if first[way] >= limits.min_flip and first[way] <= limits.max_flip:
                 column = 2 * (climbers.twist.shape[0] * k + number) + way

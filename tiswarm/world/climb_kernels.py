@@ -413,10 +413,28 @@ class Circle:
     along: F64
 
 
+@kernel_struct
+class Turn:
+    """A turn of a robot about an axis through one of its docks, or through that and an `other`."""
+
+    orientation: Vec4
+    axis: Vec3
+    pivot: Vec3
+    dock: I32
+    other: I32
+
+
 @ti.func
-def circle_of(body: Ref, q, k, turning, axis):
-    """Find the circle of dock `turning` about an axis through dock `k`."""
-    arm = rotate(q, vector_at(body, turning) - vector_at(body, k))
+def turn_about(axis, dock, orientation, pivot):
+    """Describe a turn about an axis through one dock, which is at the pivot."""
+    return Turn(orientation=orientation, axis=axis, pivot=pivot, dock=dock, other=dock)
+
+
+@ti.func
+def circle_of(body: Ref, turn, dock):
+    """Find the circle of a dock of a robot that turns."""
+    arm = rotate(turn.orientation, vector_at(body, dock) - vector_at(body, turn.dock))
+    axis = turn.axis
     along = arm.dot(axis)
     return Circle(
         arm=arm, axis=axis, across=arm - along * axis, onward=axis.cross(arm), along=along
@@ -465,14 +483,14 @@ def _gain_where_met(rise, sense, aim):
 
 
 @ti.func
-def _least_close_angles(limits: Ref, body: Ref, q, k, still, axis, near: Ref, m, count, least):
+def _least_close_angles(limits: Ref, body: Ref, turn, near: Ref, mover, count, least):
     """Compute the angles of all docks that rounding may put first; return the least each way."""
     first = ti.Vector([limits.full_turn, limits.full_turn])
-    for turning in range(body.shape[0]):
-        if turning != k and turning != still:
-            circle = circle_of(body, q, k, turning, axis)
+    for dock in range(body.shape[0]):
+        if dock != turn.dock and dock != turn.other:
+            circle = circle_of(body, turn, dock)
             for entry in range(count):
-                rise = _rise(limits, circle, vector_in(near, m, entry))
+                rise = _rise(limits, circle, vector_in(near, mover, entry))
                 orders = _rise_orders(rise)
                 if orders[2] > 0.0 or orders[0] < least[0] + TIE or orders[1] < least[1] + TIE:
                     angles = crossing_angles(rise[0], rise[1], rise[2], limits.full_turn)
@@ -481,14 +499,12 @@ def _least_close_angles(limits: Ref, body: Ref, q, k, still, axis, near: Ref, m,
 
 
 @ti.func
-def first_met(
-    limits: Ref, body: Ref, q, k, still, axis, pivot, obstacles: Ref, mover, count, aim
-):  # fmt: skip
-    """Find the angles, forward and backward, at which a turn about dock `k` meets something.
+def first_met(limits: Ref, body: Ref, turn, obstacles: Ref, mover, count, aim):
+    """Find the angles, forward and backward, at which a turn meets something.
 
-    Dock `still` lies on the axis, too; -1 where none does. After the angle t,
-    cos t aim_0 + sin t aim_1 is what a robot gains, and 0 stands for ways that gain less than
-    aim_2 wherever they end, or end before aim_3. A full turn stands for ways that meet nothing.
+    After the angle t, cos t aim_0 + sin t aim_1 is what a robot gains, and 0 stands for ways that
+    gain less than aim_2 wherever they end, or end before aim_3. A full turn stands for ways that
+    meet nothing.
     """
     first = ti.Vector([limits.full_turn, limits.full_turn])
     most = ti.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
@@ -503,12 +519,12 @@ def first_met(
     is_close = 0.0 * most
     step = 1
     while step < body.shape[0] and first.max() > 0.0:
-        turning = (k + step) % body.shape[0]
+        dock = (turn.dock + step) % body.shape[0]
         step += 1
-        if turning != still:
-            circle = circle_of(body, q, k, turning, axis)
+        if dock != turn.other:
+            circle = circle_of(body, turn, dock)
             if ti.static(obstacles.site.is_flat):
-                first = ti.min(first, _slabs_angles(limits, pivot, circle))
+                first = ti.min(first, _slabs_angles(limits, turn.pivot, circle))
             for entry in range(count):
                 rise = _rise(limits, circle, vector_in(obstacles.near, mover, entry))
                 orders = _rise_orders(rise)
@@ -524,8 +540,8 @@ def first_met(
     is_tied = (first > 0.0) & (least < NEVER) & (second < least + TIE)
     if first.max() > 0.0 and (is_close > 0.0 or is_tied.any()):
         near = ti.static(obstacles.near)
-        among = _least_close_angles(limits, body, q, k, still, axis, near, mover, count, least)
-        first = ti.min(first, among)
+        angles = _least_close_angles(limits, body, turn, near, mover, count, least)
+        first = ti.min(first, angles)
     for way in ti.static(range(2)):
         if first[way] > 0.0 and least[way] < NEVER:
             sense = 1.0 - 2.0 * way
@@ -544,14 +560,14 @@ def first_met(
     if ti.static(not obstacles.site.is_flat):
         # The search costs much more than that for docks, which often rules a way out.
         for case in range(2 * body.shape[0]):  # not unrolled: the compiler takes long
-            turning = case // 2
+            dock = case // 2
             way = case % 2
             angle = ti.select(way == 0, first[0], first[1])
-            if turning != k and turning != still and angle > 0.0:
+            if dock != turn.dock and dock != turn.other and angle > 0.0:
                 sense = 1.0 - 2.0 * way
-                circle = circle_of(body, q, k, turning, axis)
+                circle = circle_of(body, turn, dock)
                 angle = arc_angle(
-                    pivot + circle.along * axis,
+                    turn.pivot + circle.along * circle.axis,
                     circle.across,
                     sense * circle.onward,
                     0.5 * limits.spacing,
@@ -835,13 +851,13 @@ def nearest_flip(
         sensed_axis = axis
         if limits.by_belief:
             sensed_axis = rotate(quaternion_at(believed.turn, mover, stance), axis)
-        first = first_met(
-            limits, body, sensed, k, -1, sensed_axis, pivot + by, near, mover, hinge.count, aim
-        )
+        planned_turn = turn_about(sensed_axis, k, sensed, pivot + by)
+        first = first_met(limits, body, planned_turn, near, mover, hinge.count, aim)
         truly = first
         if limits.by_belief:
             among = hinge.obstacles
-            truly = first_met(limits, body, q, k, -1, axis, pivot, obstacle, mover, among, aim)
+            true_turn = turn_about(axis, k, q, pivot)
+            truly = first_met(limits, body, true_turn, obstacle, mover, among, aim)
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
@@ -1044,9 +1060,8 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m, laws: Ref
         axis = across.normalized()
         count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
         anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
-        met = first_met(
-            limits, body, q, first_dock, second_dock, axis, pivot, obstacles, m, count, anywhere
-        )
+        turn = Turn(orientation=q, axis=axis, pivot=pivot, dock=first_dock, other=second_dock)
+        met = first_met(limits, body, turn, obstacles, m, count, anywhere)
         angle = ti.min(met[0], met[1])
         flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
         turned = quaternion_product(flip, q).normalized()

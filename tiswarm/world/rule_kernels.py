@@ -42,6 +42,7 @@ from tiswarm.world.climb_kernels import (
     sense_contacts,
     settle,
     site_of,
+    turn_about,
 )
 
 
@@ -157,7 +158,8 @@ def _flips_about(
     anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
     for number in range(climbers.twist.shape[0]):
         axis = flip_axis(climbers, hinge, number)
-        first = first_met(limits, body, q, k, -1, axis, hinge.pivot, near, m, hinge.count, anywhere)
+        turn = turn_about(axis, k, q, hinge.pivot)
+        first = first_met(limits, body, turn, near, m, hinge.count, anywhere)
         for way in ti.static(range(2)):
             if first[way] >= limits.min_flip and first[way] <= limits.max_flip:
                 column = 2 * (climbers.twist.shape[0] * k + number) + way
