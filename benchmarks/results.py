@@ -6,12 +6,13 @@
     python -m benchmarks.results --write
 
 A row is the mean of a measure over the structures of a condition and point that have it, with its
-95 % confidence interval: Wilson's of a share of structures, else Student's. Rows up to version
-0.3.0 of shares of robots that differ between structures have Wilson's, of as many zeros and ones as
-vary alike. Rows of the same structures, computed on the same kind of processor, are replaced; all
-others stay. `--write` puts the numbers of the file between the marks of pages:
-`benchmarks/statements.py` has the text of each mark. `tests/benchmarks/test_results.py` claims that
-nothing is left to write.
+95 % confidence interval: Wilson's of a share of structures, else Student's. Shares of robots that
+differ between structures had Wilson's up to version 0.3.0, of as many zeros and ones as vary alike.
+These rows have it still: those of scenarios other than anchor-gap, joint and paper-sets, and those
+of libraries without AVX2 and FMA by Algorithm 1. Rows of the same structures, computed on the same
+kind of processor, are replaced; all others stay. `--write` puts the numbers of the file between the
+marks of pages: `benchmarks/statements.py` has the text of each mark.
+`tests/benchmarks/test_results.py` claims that nothing is left to write.
 """
 
 import argparse
