@@ -5,12 +5,14 @@
     python -m benchmarks.results reports/joint-1a2b3c4d --kind "AMD EPYC, no FMA in libraries"
     python -m benchmarks.results --write
 
-A row is the mean of a measure over the structures of a condition and point, with its 95 %
-confidence interval: Wilson's of a share of structures, else Student's. Rows up to version 0.3.0 of
-shares of robots that differ between structures have Wilson's, of as many zeros and ones as vary
-alike. Rows of the same structures, computed on the same kind of processor, are replaced; all others
-stay. `--write` puts the numbers of the file between the marks of pages: `benchmarks/statements.py`
-has the text of each mark. `tests/benchmarks/test_results.py` claims that nothing is left to write.
+A row is the mean of a measure over the structures of a condition and point that have it, with its
+95 % confidence interval: Wilson's of a share of structures, else Student's. Shares of robots that
+differ between structures had Wilson's up to version 0.3.0, of as many zeros and ones as vary alike.
+These rows have it still: those of scenarios other than anchor-gap, joint and paper-sets, and those
+of libraries without AVX2 and FMA by Algorithm 1. Rows of the same structures, computed on the same
+kind of processor, are replaced; all others stay. `--write` puts the numbers of the file between the
+marks of pages: `benchmarks/statements.py` has the text of each mark.
+`tests/benchmarks/test_results.py` claims that nothing is left to write.
 """
 
 import argparse
@@ -110,16 +112,18 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
     rows = []
     for (condition, point), group in done.groupby(["condition", "point"], sort=False):
         first, last = group["seed"].min(), group["seed"].max()
-        structures = {"seeds": f"{first}-{last}", "structures": len(group)}
+        seeds = {"seeds": f"{first}-{last}"}
         of = {"scenario": scenario, "condition": condition, "point": point}
         for name, unit in measures.items():
             if name not in group or group[name].isna().all():
                 continue
-            ends = _with_ends(name, group[name].to_numpy(float))
-            value, low, high = (float(f"{end:.{_DIGITS}g}") for end in ends)
+            values = group[name].to_numpy(float)
+            value, low, high = (float(f"{end:.{_DIGITS}g}") for end in _with_ends(name, values))
+            structures = {"structures": int(np.isfinite(values).sum())}
             rows.append(
                 of
                 | {"measure": name, "value": value, "low": low, "high": high, "unit": unit}
+                | seeds
                 | structures
                 | shared
             )

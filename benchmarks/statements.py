@@ -193,7 +193,12 @@ statement("accuracy-half-widths-joint")(lambda results: _half_widths(results, "h
 
 
 def _accuracy_verdicts(results: Results, verdict: str) -> str:
-    shares = [joint(results, c, s, verdict) for _, c in ACCURACY.values() for s in BOTH]
+    shares = [
+        joint(results, condition, structure, verdict)
+        for _, condition in ACCURACY.values()
+        for structure in BOTH
+        if EPYC in results.kinds("joint", condition, f"structure.kind={structure}", verdict)
+    ]
     total = sum(share.structures for share in shares)
     return f"{sum(count_of(share) for share in shares)} of {total}"
 

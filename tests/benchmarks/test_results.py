@@ -163,6 +163,19 @@ def test_a_row_of_too_few_structures_has_no_interval(run, tmp_path):
     assert many.high - 2.0 == pytest.approx(2.776 / 5.0**0.5, abs=0.002)
 
 
+def test_a_row_counts_the_structures_that_have_its_measure(run, tmp_path):
+    """Estimates that no spare measurement tests are neither consistent nor not."""
+    out = tmp_path / "results.csv"
+    table = pd.read_csv(run / "summary.csv")
+    table["consistent"] = [1.0, np.nan, 0.0, np.nan, np.nan, np.nan] + [np.nan] * 6
+    table.to_csv(run / "summary.csv", index=False)
+
+    assert results.main([str(run), "--out", str(out)]) == 0
+
+    counts = results.read_results(out).set_index(["condition", "measure"])["structures"]
+    assert counts.to_dict() == {("a", "consistent"): 2, ("a", "rmse_R"): 5, ("b", "rmse_R"): 6}
+
+
 def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     """Nothing is written."""
     with pytest.raises(SystemExit) as ended:
