@@ -476,6 +476,16 @@ def test_doubtful_estimates_are_counted_beside_the_error():
     assert "consistent" not in shown.frame
 
 
+def test_verdicts_are_counted_among_the_estimates_that_have_one():
+    """An estimate that cannot be tested is no consistent one, nor one that is not."""
+    table = pd.DataFrame({"condition": [*"ab"], "cases": 25, "rmse_R_mean": [1.0, 2.0]})
+    table = table.assign(consistent_mean=[1.0, 2.0 / 3.0], consistent_count=[3, 3])
+
+    shown = headline_table(table, with_verdicts=True)
+
+    assert shown.frame["consistent"].tolist() == ["3 of 3", "2 of 3"]
+
+
 def test_changes_are_from_the_first_condition_of_the_same_point():
     """The first condition is that of the scenario, wherever its error puts it in the table."""
     table = pd.DataFrame(

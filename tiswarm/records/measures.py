@@ -112,7 +112,10 @@ class Measure:
         return self.statistic("most")
 
     def statistic(self, name: str) -> str:
-        """Return the column of a statistic over structures: also `std`, the standard deviation."""
+        """Return the column of a statistic over structures.
+
+        Also `std`, the standard deviation, and `count`, of what is 0 or 1, of structures with it.
+        """
         return f"{self.column}_{name}"
 
 

@@ -366,13 +366,16 @@ def _notes_on_columns(columns: Collection[str]) -> list[str]:
 
 
 def _verdicts(rows: pd.DataFrame) -> dict[str, pd.Series]:
-    """Format the estimates that converged, and those that are consistent, where not all are."""
+    """Format the estimates that converged, and those that are consistent, where not all are.
+
+    They are counted among those that have the verdict; tables of earlier versions have no `count`.
+    """
     columns: dict[str, pd.Series] = {}
     for measure in (CONVERGED, CONSISTENT):
         share = rows.get(measure.mean, pd.Series(math.nan, rows.index)).astype(float)
         if (share < 1.0).any():
-            count = (share * rows["cases"]).map("{:.0f}".format)
-            texts = count + " of " + rows["cases"].astype(str)
+            judged = rows.get(measure.statistic("count"), rows["cases"])
+            texts = (share * judged).map("{:.0f}".format) + " of " + judged.map("{:.0f}".format)
             columns[measure.column] = texts.where(share.notna(), "")
     return columns
 

@@ -363,6 +363,8 @@ def _statistics(measure: Measure, values: Reals) -> dict[str, float]:
     if measure.is_share:
         del statistics["ci95"]
         statistics |= ends_of(measure, values)
+    if measure.is_yes_or_no:
+        statistics["count"] = int(np.isfinite(values).sum())
     return statistics
 
 
