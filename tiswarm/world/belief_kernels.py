@@ -41,6 +41,7 @@ from tiswarm.world.climb_kernels import (
     planned_dock,
     quaternion_at,
     revisits,
+    row_of_true,
     sensed_orientation,
     site_of,
     turn_about,
@@ -55,7 +56,6 @@ class PlanningClimbers(NamedTuple):
     dock_offset_body: Reals2
     twist: Reals2
     near: Reals3
-    obstacle: Reals3
 
 
 class WalkedStances(NamedTuple):
@@ -153,8 +153,8 @@ def plan_flips(
     head: Ints2, following: Ints2, dock: Reals3,
     believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # of Climbers
-    structure: Ints1, dock_offset_body: Reals2, twist: Reals2, near_out: Reals3,
-    obstacle_out: Reals3, ground: Reals1, of_structure: Reals2,
+    structure: Ints1, dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, ground: Reals1,
+    of_structure: Reals2,
     # of WalkArrays
     center: Reals3, orientation: Reals3, touching: Ints4, on_ground: Ints3, last: Ints1,
     # FlipArrays
@@ -177,9 +177,7 @@ def plan_flips(
     """
     structures = ti.static(BelievedDocks(CellList(head, following), dock))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
-    climbers = ti.static(
-        PlanningClimbers(structure, dock_offset_body, twist, near_out, obstacle_out)
-    )
+    climbers = ti.static(PlanningClimbers(structure, dock_offset_body, twist, near_out))
     walks = ti.static(WalkedStances(center, orientation, touching, on_ground, last))
     flips = ti.static(FlipArrays(angle_out, end_out, turned_out, visited_out))
     site = ti.static(site_of(ground, laws))
@@ -205,7 +203,6 @@ def _plans_about(
     stance = walks.last[m]
     body = ti.static(climbers.dock_offset_body)
     near = ti.static(Obstacles(climbers.near, site))
-    obstacle = ti.static(Obstacles(climbers.obstacle, site))
     q = quaternion_at(walks.orientation, m, stance)
     sensed = sensed_orientation(limits, believed, walks, m, stance)
     hinge = hinge_at(limits, structures, believed, climbers, walks, m, stance, k)
@@ -216,14 +213,13 @@ def _plans_about(
         sensed_axis = rotate(quaternion_at(believed.turn, m, stance), axis)
         first = ti.Vector([0.0, 0.0], F64)
         if is_local:
-            among = ti.min(hinge.obstacles, climbers.obstacle.shape[1])
+            row = row_of_true(climbers, m)
             turn = turn_about(axis, k, q, pivot)
-            first = first_met(limits, body, turn, obstacle, m, among, anywhere)
+            first = first_met(limits, body, turn, near, row, hinge.obstacles, anywhere)
         else:
             place = pivot + hinge.by
-            among = hinge.count
             turn = turn_about(sensed_axis, k, sensed, place)
-            first = first_met(limits, body, turn, near, m, among, anywhere)
+            first = first_met(limits, body, turn, near, m, hinge.count, anywhere)
         for way in ti.static(range(2)):
             if first[way] >= limits.min_flip and first[way] <= limits.max_flip:
                 column = 2 * (climbers.twist.shape[0] * k + number) + way
@@ -266,7 +262,7 @@ def note_planned_docks(
     """
     structures = ti.static(DockPlaces(dock))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
-    climbers = ti.static(PlanningClimbers(structure, dock_offset_body, None, None, None))
+    climbers = ti.static(PlanningClimbers(structure, dock_offset_body, None, None))
     walks = ti.static(WalkedStances(center, orientation, touching, None, None))
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:

@@ -554,8 +554,8 @@ class ChoiceClimb:
         plan_flips(
             walks.limits, self._is_local, arrived, *self._structures.cells, self._structures.dock,
             *believed.cells, believed.dock, walks.turn, climbers.structure,
-            climbers.dock_offset_body, climbers.twist, climbers.near, climbers.obstacle,
-            climbers.ground, climbers.of_structure, stances.center, stances.orientation,
+            climbers.dock_offset_body, climbers.twist, climbers.near, climbers.ground,
+            climbers.of_structure, stances.center, stances.orientation,
             stances.touching, stances.on_ground, stances.last, *plans, walks.laws,
         )  # fmt: skip
         self._stop_after_most_flips(arrived)

@@ -145,10 +145,10 @@ class Climbers(NamedTuple):
     """Cosine and sine of each axis's angle to the first at the same dock, shape (axes, 2)."""
 
     near: Reals3
-    """Scratch: vectors from the pivot to docks in reach, as believed, shape (slots, near, 3)."""
+    """Scratch: vectors from the pivot to docks in reach, as believed, shape (slots, near, 3).
 
-    obstacle: Reals3
-    """Scratch: the same as they are, for robots that do not know, shape (slots, near, 3)."""
+    As many more rows have them as they are, for robots that do not know: see `row_of_true`.
+    """
 
     ground: Reals1
     """Numbers of bodies of the ground, and of zones, as `ground.kernels.GroundArray` has them."""
@@ -222,7 +222,7 @@ class Obstacles(NamedTuple):
     """What turning docks may meet."""
 
     near: Reals3
-    """Vectors from the pivot to docks in reach, shape (slots, near, 3)."""
+    """Vectors from the pivot to docks in reach, shape (rows, near, 3)."""
 
     site: Site
 
@@ -483,14 +483,14 @@ def _gain_where_met(rise, sense, aim):
 
 
 @ti.func
-def _least_close_angles(limits: Ref, body: Ref, turn, near: Ref, mover, count, least):
+def _least_close_angles(limits: Ref, body: Ref, turn, near: Ref, row, count, least):
     """Compute the angles of all docks that rounding may put first; return the least each way."""
     first = ti.Vector([limits.full_turn, limits.full_turn])
     for dock in range(body.shape[0]):
         if dock != turn.dock and dock != turn.other:
             circle = circle_of(body, turn, dock)
             for entry in range(count):
-                rise = _rise(limits, circle, vector_in(near, mover, entry))
+                rise = _rise(limits, circle, vector_in(near, row, entry))
                 orders = _rise_orders(rise)
                 if orders[2] > 0.0 or orders[0] < least[0] + TIE or orders[1] < least[1] + TIE:
                     angles = crossing_angles(rise[0], rise[1], rise[2], limits.full_turn)
@@ -499,8 +499,32 @@ def _least_close_angles(limits: Ref, body: Ref, turn, near: Ref, mover, count, l
 
 
 @ti.func
-def first_met(limits: Ref, body: Ref, turn, obstacles: Ref, mover, count, aim):
-    """Find the angles, forward and backward, at which a turn meets something.
+def _ground_angles(limits: Ref, body: Ref, turn, ground: Ref, first, aim):
+    """Find the angles, `first` at most, at which a turn meets ground of any form."""
+    for case in range(2 * body.shape[0]):  # not unrolled: the compiler takes long
+        dock = case // 2
+        way = case % 2
+        angle = ti.select(way == 0, first[0], first[1])
+        if dock != turn.dock and dock != turn.other and angle > 0.0:
+            sense = 1.0 - 2.0 * way
+            circle = circle_of(body, turn, dock)
+            angle = arc_angle(
+                turn.pivot + circle.along * circle.axis,
+                circle.across,
+                sense * circle.onward,
+                0.5 * limits.spacing,
+                angle,
+                ti.Vector([aim[0], sense * aim[1], aim[2], aim[3]]),
+                ground,
+            )
+        first[0] = ti.select(way == 0, angle, first[0])
+        first[1] = ti.select(way == 0, first[1], angle)
+    return first
+
+
+@ti.func
+def first_met(limits: Ref, body: Ref, turn, obstacles: Ref, row, count, aim):
+    """Find the angles, forward and backward, at which a turn meets the ground or a dock of a row.
 
     After the angle t, cos t aim_0 + sin t aim_1 is what a robot gains, and 0 stands for ways that
     gain less than aim_2 wherever they end, or end before aim_3. A full turn stands for ways that
@@ -526,7 +550,7 @@ def first_met(limits: Ref, body: Ref, turn, obstacles: Ref, mover, count, aim):
             if ti.static(obstacles.site.is_flat):
                 first = ti.min(first, _slabs_angles(limits, turn.pivot, circle))
             for entry in range(count):
-                rise = _rise(limits, circle, vector_in(obstacles.near, mover, entry))
+                rise = _rise(limits, circle, vector_in(obstacles.near, row, entry))
                 orders = _rise_orders(rise)
                 is_close = ti.max(is_close, orders[2])
                 order = ti.Vector([orders[0], orders[1]])
@@ -540,7 +564,7 @@ def first_met(limits: Ref, body: Ref, turn, obstacles: Ref, mover, count, aim):
     is_tied = (first > 0.0) & (least < NEVER) & (second < least + TIE)
     if first.max() > 0.0 and (is_close > 0.0 or is_tied.any()):
         near = ti.static(obstacles.near)
-        angles = _least_close_angles(limits, body, turn, near, mover, count, least)
+        angles = _least_close_angles(limits, body, turn, near, row, count, least)
         first = ti.min(first, angles)
     for way in ti.static(range(2)):
         if first[way] > 0.0 and least[way] < NEVER:
@@ -559,24 +583,7 @@ def first_met(limits: Ref, body: Ref, turn, obstacles: Ref, mover, count, aim):
     first = ti.select(first < aim[3], 0.0, first)
     if ti.static(not obstacles.site.is_flat):
         # The search costs much more than that for docks, which often rules a way out.
-        for case in range(2 * body.shape[0]):  # not unrolled: the compiler takes long
-            dock = case // 2
-            way = case % 2
-            angle = ti.select(way == 0, first[0], first[1])
-            if dock != turn.dock and dock != turn.other and angle > 0.0:
-                sense = 1.0 - 2.0 * way
-                circle = circle_of(body, turn, dock)
-                angle = arc_angle(
-                    turn.pivot + circle.along * circle.axis,
-                    circle.across,
-                    sense * circle.onward,
-                    0.5 * limits.spacing,
-                    angle,
-                    ti.Vector([aim[0], sense * aim[1], aim[2], aim[3]]),
-                    obstacles.site.ground,
-                )
-            first[0] = ti.select(way == 0, angle, first[0])
-            first[1] = ti.select(way == 0, first[1], angle)
+        first = _ground_angles(limits, body, turn, obstacles.site.ground, first, aim)
     return first
 
 
@@ -641,7 +648,13 @@ def scored(climbers: Ref, mover, center, q, laws: Ref):
 
 
 @ti.func
-def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, mover):
+def row_of_true(climbers: Ref, mover):
+    """Return the row of `near` where a robot that goes by belief has docks as they are."""
+    return climbers.structure.shape[0] + mover
+
+
+@ti.func
+def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, row):
     """List the vectors from `pivot` to docks in reach, true or believed; return how many."""
     count = 0
     cube = cube_of(pivot, limits.inverse_edge)
@@ -652,7 +665,7 @@ def gather_near(limits: Ref, docks: Ref, s, pivot, near: Ref, mover):
             if offset.norm_sqr() < limits.reach * limits.reach:
                 if count < near.shape[1]:
                     for c in ti.static(range(3)):
-                        near[mover, count, c] = offset[c]
+                        near[row, count, c] = offset[c]
                 count += 1
             item = docks.cells.following[s, item]
     return count
@@ -753,7 +766,6 @@ def hinge_at(
     s = climbers.structure[mover]
     body = ti.static(climbers.dock_offset_body)
     near = ti.static(climbers.near)
-    obstacle = ti.static(climbers.obstacle)
     q = quaternion_at(walks.orientation, mover, stance)
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
@@ -764,8 +776,9 @@ def hinge_at(
     overflow = ti.cast(near_count > count, ti.i32)
     obstacles = 0
     if limits.by_belief:
-        obstacles = gather_near(limits, structures, s, pivot, obstacle, mover)
-        overflow = ti.cast(obstacles > obstacle.shape[1], ti.i32)
+        true_count = gather_near(limits, structures, s, pivot, near, row_of_true(climbers, mover))
+        obstacles = ti.min(true_count, near.shape[1])
+        overflow = ti.cast(true_count > obstacles, ti.i32)
     normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
     if limits.is_planar:
         normal = ti.Vector([0.0, 1.0, 0.0])  # exactly, so that y stays 0
@@ -835,7 +848,6 @@ def nearest_flip(
     body = ti.static(climbers.dock_offset_body)
     site = ti.static(site_of(climbers.ground, laws))
     near = ti.static(Obstacles(climbers.near, site))
-    obstacle = ti.static(Obstacles(climbers.obstacle, site))
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
     sensed = sensed_orientation(limits, believed, walks, mover, stance)
@@ -855,9 +867,9 @@ def nearest_flip(
         first = first_met(limits, body, planned_turn, near, mover, hinge.count, aim)
         truly = first
         if limits.by_belief:
-            among = hinge.obstacles
+            row = row_of_true(climbers, mover)
             true_turn = turn_about(axis, k, q, pivot)
-            truly = first_met(limits, body, true_turn, obstacle, mover, among, aim)
+            truly = first_met(limits, body, true_turn, near, row, hinge.obstacles, aim)
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
@@ -1088,8 +1100,8 @@ def climb(
     believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3, turn: Reals3,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
-    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, obstacle_out: Reals3,
-    ground: Reals1, of_structure: Reals2,
+    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, ground: Reals1,
+    of_structure: Reals2,
     # WalkArrays, from the first stance on
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
@@ -1118,8 +1130,8 @@ def climb(
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(believed_head, believed_following), believed_dock, turn))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, obstacle_out,
-        ground, of_structure,
+        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, ground,
+        of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last_out,

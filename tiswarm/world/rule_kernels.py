@@ -88,8 +88,8 @@ def list_flips(
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
-    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, obstacle_out: Reals3,
-    ground: Reals1, of_structure: Reals2,
+    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, ground: Reals1,
+    of_structure: Reals2,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay: Ints1,
@@ -111,8 +111,8 @@ def list_flips(
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     believed = ti.static(Beliefs(CellList(head, following), dock, orientation))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, obstacle_out,
-        ground, of_structure,
+        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, ground,
+        of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center, orientation, pivot_dock, touching_out, on_ground_out, last, best, stay,
@@ -227,8 +227,8 @@ def settle_walks(
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, manner: Ints2,
-    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, obstacle_out: Reals3,
-    ground: Reals1, of_structure: Reals2,
+    dock_offset_body: Reals2, twist: Reals2, near_out: Reals3, ground: Reals1,
+    of_structure: Reals2,
     # WalkArrays
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last: Ints1, best: Ints1, stay_out: Ints1,
@@ -243,8 +243,8 @@ def settle_walks(
     """
     structures = ti.static(ClimbedDocks(CellList(head, following), dock, relay))
     climbers = ti.static(Climbers(
-        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, obstacle_out,
-        ground, of_structure,
+        structure, first_stance, goal, manner, dock_offset_body, twist, near_out, ground,
+        of_structure,
     ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last, best,

@@ -234,14 +234,12 @@ class Walks:
         docks = robot.dock_count
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
         near_most = math.ceil((limits.reach + robot.dock_radius) ** 3)
+        rows = slots
+        believed_stances = 0
         if limits.by_belief:
-            believed_near_most = _BELIEVED_NEARER * near_most
-            true_near_most = near_most
+            near_most *= _BELIEVED_NEARER
+            rows *= 2
             believed_stances = stances
-        else:
-            believed_near_most = near_most
-            true_near_most = 1
-            believed_stances = 0
         self.limits = limits
         self.limits_by_truth = limits_by_truth
         self.docks = docks
@@ -252,8 +250,7 @@ class Walks:
             manner=np.zeros((slots, Manner.TOTAL), np.int32),
             dock_offset_body=robot.dock_offset_body,
             twist=_twists(params[0].climb, robot),
-            near=np.empty((slots, believed_near_most, 3)),
-            obstacle=np.empty((slots, true_near_most, 3)),
+            near=np.empty((rows, near_most, 3)),
             ground=ground,
             of_structure=structure_rows(params),
         )
