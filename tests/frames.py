@@ -89,7 +89,7 @@ class LinkLoads(NamedTuple):
 def link_loads(structure: Standing, **settings: object) -> LinkLoads:
     """Axial force and bending moment in each link, mechanics being as usual but for `settings`."""
     frames = solved(structure, MechanicsParams(**settings))
-    return split_loads(structure, frames.load_arrays.acting[0])
+    return split_loads(structure, frames.load_arrays.acting[0, :, :6])
 
 
 def split_loads(structure: Standing, acting: np.ndarray) -> LinkLoads:
