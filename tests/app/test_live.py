@@ -143,6 +143,20 @@ def test_the_page_shows_the_newest_case(served):
 
 
 @pytest.mark.trial
+def test_a_case_takes_the_whole_width_of_a_phone(served, tmp_path):
+    """Margins of the list and of the case together left 342 of 390 pixels to the 3D view."""
+    _, shell = served.get("")
+    script = """
+        const { left, width } = inside.querySelector("iframe").getBoundingClientRect();
+        Object.assign(found, { left, width, wide: inside.documentElement.scrollWidth });
+    """
+
+    found = probe_phone(shell, script, tmp_path)
+
+    assert (found["left"], found["width"], found["wide"]) == (0, 390, 390)
+
+
+@pytest.mark.trial
 def test_ctrl_c_ends_the_command(served):
     """It is the usual end: status 0, and not a word on standard error."""
     served.process.send_signal(signal.SIGINT)
@@ -198,17 +212,3 @@ def _said(*arguments, cwd=REPOSITORY):
     done = call_here("view", *arguments, cwd=cwd)
     (line,) = done.stderr.splitlines()
     return done.returncode, line.removeprefix("tiswarm: error: ")
-
-
-@pytest.mark.trial
-def test_a_case_takes_the_whole_width_of_a_phone(served, tmp_path):
-    """Margins of the list and of the case together left 342 of 390 pixels to the 3D view."""
-    _, shell = served.get("")
-    script = """
-        const { left, width } = inside.querySelector("iframe").getBoundingClientRect();
-        Object.assign(found, { left, width, wide: inside.documentElement.scrollWidth });
-    """
-
-    found = probe_phone(shell, script, tmp_path)
-
-    assert (found["left"], found["width"], found["wide"]) == (0, 390, 390)
