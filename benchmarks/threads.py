@@ -259,7 +259,8 @@ def draw(table: pd.DataFrame, path: Path) -> None:
 def _draw_scaling(axes: "Axes", table: pd.DataFrame, scaling: str, value: str) -> None:
     """Draw a value of each work against the number of threads, and the ideal."""
     rows = table[table["scaling"] == scaling]
-    for place, (name, part) in enumerate(rows.groupby("work", sort=False)):
+    for place, name in enumerate(table["work"].unique()):
+        part = rows[rows["work"] == name]
         axes.plot(part["threads"], part[value], markersize=3.5, label=name, **marker_style(place))
     counts = sorted(set(rows["threads"]))
     ideal = counts if scaling == "strong" else [1.0] * len(counts)
