@@ -414,20 +414,20 @@ class Circle:
 
 
 @kernel_struct
-class Turn:
-    """A turn of a robot about an axis through one of its docks, or through that and an `other`."""
+class PivotTurn:
+    """A turn of a robot about an axis through one of its docks, or through two of them."""
 
     orientation: Vec4
     axis: Vec3
     pivot: Vec3
     dock: I32
-    other: I32
+    second_dock: I32
 
 
 @ti.func
 def turn_about(axis, dock, orientation, pivot):
-    """Describe a turn about an axis through one dock, which is at the pivot."""
-    return Turn(orientation=orientation, axis=axis, pivot=pivot, dock=dock, other=dock)
+    """Describe a turn about an axis through a single dock, which is at the pivot."""
+    return PivotTurn(orientation=orientation, axis=axis, pivot=pivot, dock=dock, second_dock=dock)
 
 
 @ti.func
@@ -487,7 +487,7 @@ def _least_close_angles(limits: Ref, body: Ref, turn, near: Ref, row, count, lea
     """Compute the angles of all docks that rounding may put first; return the least each way."""
     first = ti.Vector([limits.full_turn, limits.full_turn])
     for dock in range(body.shape[0]):
-        if dock != turn.dock and dock != turn.other:
+        if dock != turn.dock and dock != turn.second_dock:
             circle = circle_of(body, turn, dock)
             for entry in range(count):
                 rise = _rise(limits, circle, vector_in(near, row, entry))
@@ -505,7 +505,7 @@ def _ground_angles(limits: Ref, body: Ref, turn, ground: Ref, first, aim):
         dock = case // 2
         way = case % 2
         angle = ti.select(way == 0, first[0], first[1])
-        if dock != turn.dock and dock != turn.other and angle > 0.0:
+        if dock != turn.dock and dock != turn.second_dock and angle > 0.0:
             sense = 1.0 - 2.0 * way
             circle = circle_of(body, turn, dock)
             angle = arc_angle(
@@ -545,7 +545,7 @@ def first_met(limits: Ref, body: Ref, turn, obstacles: Ref, row, count, aim):
     while step < body.shape[0] and first.max() > 0.0:
         dock = (turn.dock + step) % body.shape[0]
         step += 1
-        if dock != turn.other:
+        if dock != turn.second_dock:
             circle = circle_of(body, turn, dock)
             if ti.static(obstacles.site.is_flat):
                 first = ti.min(first, _slabs_angles(limits, turn.pivot, circle))
@@ -1072,7 +1072,9 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m, laws: Ref
         axis = across.normalized()
         count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
         anywhere = ti.Vector([0.0, 0.0, -ti.math.inf, 0.0])
-        turn = Turn(orientation=q, axis=axis, pivot=pivot, dock=first_dock, other=second_dock)
+        turn = PivotTurn(
+            orientation=q, axis=axis, pivot=pivot, dock=first_dock, second_dock=second_dock
+        )
         met = first_met(limits, body, turn, obstacles, m, count, anywhere)
         angle = ti.min(met[0], met[1])
         flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
