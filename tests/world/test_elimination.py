@@ -27,7 +27,7 @@ FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
 
 @ti.kernel
 def _solve_one(
-    pairs: Ints2, coupling: Blocks, own: Blocks, has_room_out: Ints1,
+    pairs: Ints2, coupling: Blocks, diagonal: Blocks, has_room_out: Ints1,
     node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Blocks,
     panel_out: Rows, motion_out: Rows,
 ):  # fmt: skip
@@ -35,15 +35,15 @@ def _solve_one(
         node_out, order_out, half_out, block_count_out, block_out, panel_out, motion_out
     ))  # fmt: skip
     for _ in range(1):
-        clear(work, 0, own.shape[1])
-        for a in range(own.shape[1]):
+        clear(work, 0, diagonal.shape[1])
+        for a in range(diagonal.shape[1]):
             for i in ti.static(range(SIDE)):
-                block_out[0, a, i] = own[0, a, i]
+                block_out[0, a, i] = diagonal[0, a, i]
         for p in range(pairs.shape[0]):
             edge = edge_between(work, 0, pairs[p, 0], pairs[p, 1])
             for i in ti.static(range(SIDE)):
                 block_out[0, edge, i] = block_out[0, edge, i] + coupling[0, p, i]
-        has_room_out[0] = ti.cast(solve(work, 0, own.shape[1]), ti.i32)
+        has_room_out[0] = ti.cast(solve(work, 0, diagonal.shape[1]), ti.i32)
 
 
 @settings(max_examples=40)
@@ -75,11 +75,11 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
         motion=frames.in_rows(load[None]),
     )
     has_room = np.zeros(1, np.int32)
-    own = frames.in_rows(dense[np.arange(nodes), np.arange(nodes)][None])
+    diagonal = frames.in_rows(dense[np.arange(nodes), np.arange(nodes)][None])
     backend.processor()
 
     with native_vectors():
-        _solve_one(pairs, frames.in_rows(coupling[None]), own, has_room, *work)
+        _solve_one(pairs, frames.in_rows(coupling[None]), diagonal, has_room, *work)
 
     matrix = dense.swapaxes(1, 2).reshape(SIDE * nodes, SIDE * nodes)
     expected = np.linalg.solve(matrix, load.ravel()).reshape(nodes, SIDE)

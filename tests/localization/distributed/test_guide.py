@@ -19,7 +19,7 @@ def test_the_guide_has_all_settings_with_their_defaults():
     stated = {name: yaml.safe_load(default) for name, default in rows}
 
     common = {field.name for field in fields(ChiSquareParams)} | {"method"}
-    own = {
+    defaults = {
         field.name: field.default for field in fields(DistributedParams) if field.name not in common
     }
-    assert stated == own
+    assert stated == defaults

@@ -145,9 +145,9 @@ def test_open3d_imports_web_servers_when_they_are_called(tmp_path, monkeypatch):
     (folder / "__init__.py").write_text("from .draw_plotly import draw_plotly\n")
     (folder / "draw_plotly.py").write_text("def draw_plotly(shown):\n    return [shown]\n")
     monkeypatch.syspath_prepend(tmp_path)
-    for each in ("open3d", name, web := f"{name}.draw_plotly"):
-        monkeypatch.setitem(sys.modules, each, None)  # undone in the end
-        del sys.modules[each]
+    for module in ("open3d", name, web := f"{name}.draw_plotly"):
+        monkeypatch.setitem(sys.modules, module, None)  # undone in the end
+        del sys.modules[module]
 
     found = raycast.load_open3d()
     is_loaded = web in sys.modules
@@ -169,9 +169,9 @@ def test_open3d_imports_data_sets_when_they_are_used(tmp_path, monkeypatch):
     (tmp_path / "open3d" / "_ml3d" / "__init__.py").touch()
     (tmp_path / "open3d" / "_ml3d" / "datasets.py").write_text("class KITTI:\n    pass\n")
     monkeypatch.syspath_prepend(tmp_path)
-    for each in ("open3d", "open3d.ml", "open3d.ml.datasets", "open3d._ml3d", data_sets):
-        monkeypatch.setitem(sys.modules, each, None)  # undone in the end
-        del sys.modules[each]
+    for module in ("open3d", "open3d.ml", "open3d.ml.datasets", "open3d._ml3d", data_sets):
+        monkeypatch.setitem(sys.modules, module, None)  # undone in the end
+        del sys.modules[module]
 
     found = raycast.load_open3d()
     is_loaded = data_sets in sys.modules
